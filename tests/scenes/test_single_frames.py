@@ -12,7 +12,7 @@ from touchd.errors import RecordingValues
 from touchd.evaluation.dataset import make_dataset
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.model_scores import judge
-from touchd.evaluation.single_frames import Look, find_with, network_features, see, touched_frames
+from touchd.evaluation.single_frames import find_with, network_features, see, touched_frames
 from touchd.evaluation.truth import fingers_only
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
@@ -36,10 +36,10 @@ def test_baseline(one: Recording) -> None:
     frames = touched_frames(one)
     assert len(frames) == 60
     assert frames.fingers.tolist() == [1] * 60
-    look = frames.look(10)
-    np.testing.assert_array_equal(look.counts, one.frames[21])
-    np.testing.assert_array_equal(look.baseline, one.frames[[20, 22]].mean(axis=0, dtype=np.float32))
-    np.testing.assert_array_equal(look.residual, look.counts - look.baseline)
+    counts, baseline, residual = frames.look(10)
+    np.testing.assert_array_equal(counts, one.frames[21])
+    np.testing.assert_array_equal(baseline, one.frames[[20, 22]].mean(axis=0, dtype=np.float32))
+    np.testing.assert_array_equal(residual, counts - baseline)
 
 
 def test_features(one: Recording, model: Model) -> None:
@@ -68,10 +68,9 @@ def test_network(one: Recording, model: Model) -> None:
 def test_perfect(three: Recording) -> None:
     """A perfect localizer of several fingers has perfect scores."""
     frames = touched_frames(three)
-    answers = {frames.look(i).counts.tobytes(): true for i, true in enumerate(frames.true_mm)}
 
-    def find(look: Look) -> Sequence[Touch]:
-        return [Touch(float(x), float(y), 0.1, 1.0, 0.5) for x, y in answers[look.counts.tobytes()][::-1]]
+    def find(i: int) -> Sequence[Touch]:
+        return [Touch(float(x), float(y), 0.1, 1.0, 0.5) for x, y in frames.true_mm[i][::-1]]
 
     scores = scores_by_fingers(match_frames(see(find, frames)))
     assert set(scores) == {"3"}
@@ -105,7 +104,7 @@ def test_ghosts(instrument: Instrument) -> None:
     """Frames without a finger are localized too, and count ghosts."""
     palm = simulate_scene("palm", seed=21, instrument=instrument, frames=200)
     frames = touched_frames(palm)
-    scores = scores_by_fingers(match_frames(see(lambda _look: [Touch(100, 100, 1, 1, 1)], frames)))
+    scores = scores_by_fingers(match_frames(see(lambda _i: [Touch(100, 100, 1, 1, 1)], frames)))
     assert scores == {"0": {"n": len(frames), "count_right": 0.0, "ghosts": len(frames)}}
 
 

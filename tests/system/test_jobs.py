@@ -31,7 +31,7 @@ from touchd.jobs import Job, Shared, digest, run
 from touchd.jobs import cluster as on_cluster
 from touchd.jobs.cluster import SECRET_BYTES, connected_here
 from touchd.lab.reproduction.experiments import looked_up
-from touchd.lab.reproduction.plan import head_jobs
+from touchd.lab.reproduction.run import head_jobs
 from touchd.recording.format import read
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches

@@ -100,7 +100,7 @@ def _measure_steady(quick: bool, against: Path | None, stored: Path | None) -> N
 
     from touchd.files import replacing
     from touchd.lab.benchmark import steady
-    from touchd.lab.benchmark.machine import this_machine
+    from touchd.lab.benchmark.results import this_machine
     from touchd.lab.benchmark.scenes import make_day, make_loop
     from touchd.twin.instrument import Instrument
     from touchd.twin.simulate import DEFAULT_PLATE

@@ -46,10 +46,9 @@ def command(
     from touchd.files import replacing, writing
     from touchd.keypad import PHONE, load_layout
     from touchd.lab.reproduction.figures import draw
-    from touchd.lab.reproduction.report import page, store
+    from touchd.lab.reproduction.report import figures, page, store
     from touchd.lab.reproduction.run import Scale, reproduce
     from touchd.lab.reproduction.sets import check_touches
-    from touchd.lab.reproduction.tables import figures
     from touchd.recording.format import read
     from touchd.twin import cache as kept
 

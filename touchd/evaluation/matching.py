@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import hypot
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,8 +77,8 @@ class Matches:
     """Number of contacts in each frame, shape (n,)."""
     told_apart: NDArray[np.bool_]
     """Whether contacts and fingers are equal in number and each contact is nearest to its own finger, shape (n,)."""
-    frame: NDArray[np.int64]
-    """Frame of each matched contact, shape (m,)."""
+    matched: NDArray[np.int64]
+    """Number of matched contacts in each frame, shape (n,)."""
     judged: Judgement
     """Estimated and true positions of the matched contacts."""
     force: Floats
@@ -89,54 +88,38 @@ class Matches:
     faces: Floats
     """Estimated and true faces, shape (m, 2, 3), NaN if unknown; see `touchd.evaluation.metrics.face_scores`."""
 
+    @property
+    def frame(self) -> NDArray[np.int64]:
+        """Frame of each matched contact, shape (m,)."""
+        return np.repeat(np.arange(len(self.matched)), self.matched)
+
     def of(self, chosen: NDArray[np.bool_]) -> Matches:
         """Select frames by a mask of shape (n,)."""
-        mine = chosen[self.frame]
+        mine = np.repeat(chosen, self.matched)
         j = self.judged
         return Matches(
-            self.fingers[chosen], self.contacts[chosen], self.told_apart[chosen],
-            (np.cumsum(chosen) - 1)[self.frame[mine]],
+            self.fingers[chosen], self.contacts[chosen], self.told_apart[chosen], self.matched[chosen],
             Judgement(j.true_mm[mine], j.position_mm[mine], j.sigma_mm[mine], j.confidence[mine]),
             self.force[mine], self.force_n[mine], self.faces[mine],
         )  # fmt: skip
 
 
-def join_matches(parts: Sequence[Matches]) -> Matches:
-    """Return the matches of frames that follow each other."""
-    before = np.cumsum([0, *(len(part.fingers) for part in parts)])
-
-    def every(name: str) -> NDArray[Any]:
-        return np.concatenate([attrgetter(name)(part) for part in parts])
-
-    return Matches(
-        every("fingers"), every("contacts"), every("told_apart"),
-        np.concatenate([part.frame + shift for part, shift in zip(parts, before, strict=False)]),
-        Judgement(
-            every("judged.true_mm"), every("judged.position_mm"), every("judged.sigma_mm"), every("judged.confidence")
-        ),
-        every("force"), every("force_n"), every("faces"),
-    )  # fmt: skip
-
-
 def match_frames(frames: Iterable[Seen], reach_mm: float = REACH_MM) -> Matches:
     """Match contacts with fingers in each frame; see `match`."""
-    fingers, contacts, told_apart, where, rows = [], [], [], [], []
-    for number, seen in enumerate(frames):
+    counted: list[tuple[int, int, bool, int]] = []
+    rows = []
+    for seen in frames:
         if not seen.true_mm and not seen.found:  # most frames of a day
-            fingers.append(0)
-            contacts.append(0)
-            told_apart.append(True)
+            counted.append((0, 0, True, 0))
             continue
         places = [(touch.x_mm, touch.y_mm) for touch in seen.found]
         pairs = match(seen.true_mm, places, reach_mm)
-        fingers.append(len(seen.true_mm))
-        contacts.append(len(places))
         own = all(_nearest(places[j], seen.true_mm) == i for i, j in pairs)
-        told_apart.append(own and len(pairs) == len(seen.true_mm) == len(places))
+        told_apart = own and len(pairs) == len(seen.true_mm) == len(places)
+        counted.append((len(seen.true_mm), len(places), told_apart, len(pairs)))
         for i, j in pairs:
             touch = seen.found[j]
             force_n = seen.force_n[i] if seen.force_n is not None else np.nan
-            where.append(number)
             face = seen.faces[i] if seen.faces is not None else UNKNOWN
             rows.append((
                 *seen.true_mm[i], *places[j], touch.sigma_mm, touch.confidence, touch.force, force_n,
@@ -144,10 +127,10 @@ def match_frames(frames: Iterable[Seen], reach_mm: float = REACH_MM) -> Matches:
             ))  # fmt: skip
     table = np.array(rows, float).reshape(-1, 14)
     judged = Judgement(table[:, :2].astype(np.float32), table[:, 2:4], table[:, 4], table[:, 5])
+    fingers, contacts, apart, matched = np.array(counted, np.int64).reshape(-1, 4).T
     return Matches(
-        np.array(fingers, np.int64), np.array(contacts, np.int64), np.array(told_apart, bool),
-        np.array(where, np.int64), judged, table[:, 6], table[:, 7], table[:, 8:].reshape(-1, 2, 3),
-    )  # fmt: skip
+        fingers, contacts, apart > 0, matched, judged, table[:, 6], table[:, 7], table[:, 8:].reshape(-1, 2, 3)
+    )
 
 
 def _nearest(place: Position, points: Sequence[Position]) -> int:
@@ -175,7 +158,7 @@ def scores_by_fingers(matches: Matches) -> dict[str, dict[str, Any]]:
 
 
 def _scores(matches: Matches, fingers: int) -> dict[str, Any]:
-    n, matched = len(matches.fingers), len(matches.frame)
+    n, matched = len(matches.fingers), int(matches.matched.sum())
     found: dict[str, Any] = {
         "n": n,
         "count_right": float((matches.contacts == fingers).mean()),

@@ -51,19 +51,17 @@ def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float
     d = model.description
     route = Features(d.domain, d.acquisition, taper=d.taper)
     rows = np.empty((len(features), 4))
-    found = np.zeros(len(features), np.int64)
+    found = np.zeros(len(features), np.int64) if d.head != "regression" else None
     for i, row in enumerate(features):
         model.features[0] = row
         estimate = model.estimate()
         sigma_mm = estimate.error_mm(route.noise_to_signal(noise_energy, float(row @ row)))
         rows[i] = estimate.x_mm, estimate.y_mm, sigma_mm, estimate.confidence
-        if d.head != "regression":
+        if found is not None:
             found[i] = int(model.outputs["probability"][0].argmax())
-    plain = Judgement(true_mm, rows[:, :2], rows[:, 2], rows[:, 3])
-    if d.head == "regression":
-        return plain
+    true = classes(true_mm, d) if found is not None else None
     keys = len(d.layout.key) if d.layout and d.head == "keypad" else 0
-    return Judgement(true_mm, plain.position_mm, plain.sigma_mm, plain.confidence, classes(true_mm, d), found, keys)
+    return Judgement(true_mm, rows[:, :2], rows[:, 2], rows[:, 3], true, found, keys)
 
 
 def classes(true_mm: NDArray[np.float32], description: Description) -> NDArray[np.int64]:

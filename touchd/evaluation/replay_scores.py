@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.evaluation.matching import Matches, Position, Seen, join_matches, match, match_frames, seen_in
+from touchd.evaluation.matching import Matches, Position, Seen, match, match_frames, seen_in
+from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.truth import TrueTouch, fingers_only, rough_frames, true_touches
 from touchd.event import Contact, TouchEvent
 from touchd.recording.data import Recording
@@ -78,20 +79,23 @@ class StreamScores:
         return float(np.median(self.latency_ms)) if len(self.latency_ms) else None
 
 
-def joined(parts: Sequence[StreamScores]) -> StreamScores:
-    """Return the scores of recordings that follow each other as those of one."""
+Part = TypeVar("Part", StreamScores, Matches, Judgement)
 
-    def total(name: str) -> int:
-        return sum(getattr(part, name) for part in parts)
 
-    def every(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(part, name) for part in parts])
+def joined(parts: Sequence[Part]) -> Part:
+    """Return the scores of recordings that follow each other as those of one: numbers added, arrays joined."""
 
-    return StreamScores(
-        total("touches"), total("found"), total("ghosts"), total("split"), total("switches"),
-        all(part.clean for part in parts), every("error_mm"), every("moving"), every("wander_mm2"),
-        every("latency_ms"), join_matches([part.settled for part in parts]),
-    )  # fmt: skip
+    def of(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        if isinstance(values[0], np.ndarray):
+            return np.concatenate(values)
+        if isinstance(values[0], bool):
+            return all(values)
+        if isinstance(values[0], int):
+            return sum(values)
+        return joined(values) if is_dataclass(values[0]) else values[0]
+
+    return type(parts[0])(**{each.name: of(each.name) for each in fields(parts[0])})
 
 
 def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
@@ -135,12 +139,13 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
     # The scatter of a still finger about its own mean is jitter.
     wander = [np.square(error - error.mean(axis=0)).sum(axis=1) for error in still]
     found = sum(map(bool, owned))
+    matched = [[index for index in contact.followed if index is not None] for contact in contacts]
     return StreamScores(
         touches=len(touches),
         found=found,
         ghosts=sum(contact.touch is None for contact in contacts),
         split=sum(map(len, owned)) - found,
-        switches=sum(map(_switches, contacts)),
+        switches=sum(before != after for indices in matched for before, after in pairwise(indices)),
         clean=all(contact.downs == 1 and contact.ups == 1 for contact in contacts),
         error_mm=error_mm,
         moving=np.concatenate([moving for _, moving in parts]) if parts else np.empty(0, bool),
@@ -217,11 +222,6 @@ def _touch_of(contact: FoundContact, touches: list[TrueTouch], down: Down) -> in
         if frames[0] <= contact.frames[0] <= frames[-1] + SLACK_FRAMES:
             return index
     return None
-
-
-def _switches(contact: FoundContact) -> int:
-    seen = [index for index in contact.followed if index is not None]
-    return sum(before != after for before, after in pairwise(seen))
 
 
 def _errors(contacts: list[FoundContact], down: Down, rough: set[int]) -> Errors:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,17 +31,8 @@ from touchd.touch import Touch
 Array = NDArray[np.float32]
 
 
-class Look(NamedTuple):
-    """A touched frame with its baseline, each of shape (channels, samples), ADC counts."""
-
-    counts: Counts
-    baseline: Array
-    residual: Array
-    """Counts less baseline."""
-
-
-Find = Callable[[Look], Sequence[Touch]]
-"""Finds the touches of one frame, in any order, without knowledge of earlier frames."""
+Find = Callable[[int], Sequence[Touch]]
+"""Finds the touches of the i-th touched frame, in any order, without knowledge of earlier frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +68,10 @@ class TouchedFrames:
         """Return the noise energy of a residual, ADC counts squared."""
         return noise_energy(noise_of(self.recording.frames[np.unique(self.beside)]), self.recording.acquisition)
 
-    def look(self, i: int) -> Look:
-        """Return frame i with its baseline and residual."""
+    def look(self, i: int) -> tuple[Counts, Array, Array]:
+        """Return frame i, its baseline and the difference, each of shape (channels, samples), ADC counts."""
         counts, baseline = self.recording.frames[self.touched[i]], self.baseline(i)
-        return Look(counts, baseline, residual_of(counts, baseline))
+        return counts, baseline, residual_of(counts, baseline)
 
 
 def touched_frames(recording: Recording) -> TouchedFrames:
@@ -127,14 +117,14 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
         localizer.update(frames.baseline(0), np.array(noise)[~hit])
     noise_root, live = float(np.cbrt(frames.noise_energy())), np.ones(acquisition.channels, bool)
 
-    def find(look: Look) -> Sequence[Touch]:
-        hits = impulses.blank(look.residual, float(np.square(look.residual).sum()))
-        energy = float(np.square(look.residual, dtype=np.float64).sum())
+    def find(i: int) -> Sequence[Touch]:
+        counts, baseline, residual = frames.look(i)
+        hits = impulses.blank(residual, float(np.square(residual).sum()))
+        energy = float(np.square(residual, dtype=np.float64).sum())
         detection = Detection(
-            Outcome.TOUCHED, 0, energy, noise_root, 0.0, look.counts.astype(np.float32), look.residual, look.baseline,
-            live, hits=hits,
-        )  # fmt: skip
-        localizer.update(look.baseline)
+            Outcome.TOUCHED, 0, energy, noise_root, 0.0, counts.astype(np.float32), residual, baseline, live, hits=hits
+        )
+        localizer.update(baseline)
         return localizer.localize(detection, alive=False, complete=True).touches
 
     return find
@@ -144,14 +134,14 @@ def network_features(model: Model, frames: TouchedFrames) -> Array:
     """Return the network's features of each frame, shape (n, inputs)."""
     d = model.description
     extract = Features(d.domain, frames.recording.acquisition, taper=d.taper).extract
-    features = np.empty((len(frames), model.description.inputs), np.float32)
-    of_residual = model.description.input == "residual"
+    features = np.empty((len(frames), d.inputs), np.float32)
+    of_residual = d.input == "residual"
     for i, row in enumerate(features):
-        look = frames.look(i)
-        extract(look.residual if of_residual else look.counts.astype(np.float32), row)
+        counts, _, residual = frames.look(i)
+        extract(residual if of_residual else counts.astype(np.float32), row)
     return features
 
 
 def see(find: Find, frames: TouchedFrames) -> list[Seen]:
     """Find the touches of each frame, one frame at a time as the daemon does."""
-    return [seen_in(frames.recording, at, find(frames.look(i))) for i, at in enumerate(frames.touched)]
+    return [seen_in(frames.recording, at, find(i)) for i, at in enumerate(frames.touched)]

@@ -16,7 +16,7 @@ It needs the extras `train` and `dev` (for h5py).
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -33,13 +33,14 @@ from touchd.training.report.template import Table, write_csv
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Covariance = Callable[[Floats], Floats]
 
 FREEDOM = 600.0
 """Degrees of freedom A k^2 / pi of the part of the plate that is predicted."""
 TOUCHES_PER_FREEDOM = (0.5, 1.0, 2.0, 3.0)
 TESTED = 400
 """Positions that are predicted."""
+REPEATS, SEED = 4, 1
+"""Parts of the plate over which errors are averaged."""
 RIDGES = np.geomspace(1e-5, 0.3, 14)
 LENGTHS = np.linspace(0.6, 1.8, 5)
 """Lengths of the generic kernel that are tried, in 1/k."""
@@ -110,66 +111,44 @@ def read_field(path: Path) -> WaveField:
     return WaveField(values[: counts[0], : counts[1]], step_mm, frequency_hz)
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """Positions of a part of the plate whose wave is known, and others where it is asked for."""
+def errors(field: WaveField, wavenumber_per_mm: float, per_freedom: float, rng: np.random.Generator) -> list[float]:
+    """Return the relative RMS error of each of `METHODS` between positions drawn from a part of the plate.
 
-    known_mm: Floats
-    known: Complex
-    asked_mm: Floats
-    truth: Complex
+    The part is a square of `FREEDOM` degrees of freedom. An error of 1 is that of knowing nothing.
+    """
+    points = int(np.sqrt(FREEDOM * np.pi) / wavenumber_per_mm / field.step_mm)
+    left, low = (int(rng.integers(0, max(n - points, 0) + 1)) for n in field.values.shape)
+    part = field.values[left : left + points, low : low + points]
+    count = round(per_freedom * FREEDOM)
+    chosen = rng.permutation(part.size)[: count + TESTED]
+    at_mm = np.column_stack(np.unravel_index(chosen, part.shape)).astype(float) * field.step_mm
+    known_mm, asked_mm = at_mm[:count], at_mm[count:]
+    known, truth = part.ravel()[chosen[:count]], part.ravel()[chosen[count:]]
 
-    @classmethod
-    def draw(cls, field: WaveField, wavenumber_per_mm: float, per_freedom: float, rng: np.random.Generator) -> Sample:
-        """Draw positions of the raster from a square of `FREEDOM` degrees of freedom."""
-        points = int(np.sqrt(FREEDOM * np.pi) / wavenumber_per_mm / field.step_mm)
-        left, low = (int(rng.integers(0, max(n - points, 0) + 1)) for n in field.values.shape)
-        part = field.values[left : left + points, low : low + points]
-        count = round(per_freedom * FREEDOM)
-        chosen = rng.permutation(part.size)[: count + TESTED]
-        at_mm = np.column_stack(np.unravel_index(chosen, part.shape)).astype(float) * field.step_mm
-        values = part.ravel()[chosen]
-        return cls(at_mm[:count], values[:count], at_mm[count:], values[count:])
+    def error(predicted: Complex) -> float:
+        return float(np.sqrt(np.mean(np.abs(predicted - truth) ** 2) / np.mean(np.abs(truth) ** 2)))
 
-    def error(self, predicted: Complex) -> float:
-        """Return the relative RMS error of a prediction; 1 is that of knowing nothing."""
-        return float(np.sqrt(np.mean(np.abs(predicted - self.truth) ** 2) / np.mean(np.abs(self.truth) ** 2)))
-
-    def kernel_error(self, kernel: Covariance) -> float:
+    def kernel_error(kernel: Callable[[Floats], Floats]) -> float:
         """Return the error of kernel ridge regression, the ridge by leave-one-out errors (as `leave_one_out`)."""
-        values, vectors = eigh(kernel(distances(self.known_mm, self.known_mm).astype(np.float64)))
-        turned, best = vectors.T @ self.known, (np.inf, self.known)
+        values, vectors = eigh(kernel(distances(known_mm, known_mm).astype(np.float64)))
+        turned, best = vectors.T @ known, (np.inf, known)
         for ridge in RIDGES:
             shrunk = 1 / (np.maximum(values, 0.0) + ridge)
             weights = vectors @ (shrunk * turned)
             left_out = float(np.mean(np.abs(weights / (np.square(vectors) @ shrunk)) ** 2))
             if left_out < best[0]:
                 best = left_out, weights
-        return self.error(kernel(distances(self.known_mm, self.asked_mm).astype(np.float64)).T @ best[1])
+        return error(kernel(distances(known_mm, asked_mm).astype(np.float64)).T @ best[1])
 
-    def errors(self, wavenumber_per_mm: float) -> dict[str, float]:
-        """Return the error of each method that a product of two waves is predicted by."""
-        nearest = NearestNDInterpolator(self.known_mm, self.known)(self.asked_mm)
-        cubic = CloughTocher2DInterpolator(self.known_mm, self.known)(self.asked_mm)
-        generic = (partial(_gaussian, length_mm=length / wavenumber_per_mm) for length in LENGTHS)
-        return {
-            "nearest": self.error(nearest),
-            "cubic": self.error(np.where(np.isnan(cubic), nearest, cubic)),
-            "generic": min(map(self.kernel_error, generic)),  # the best length on the test: more than it could know
-            "kernel": self.kernel_error(partial(covariance, wavenumber_per_mm=wavenumber_per_mm)),
-        }
-
-
-def measure(field: WaveField, repeats: int, seed: int) -> Iterator[list[str]]:
-    """Yield one row per number of touches: the mean error of each of `METHODS` over parts of the plate."""
-    k, product = field.wavenumber_per_mm, field.product()
-    for per_freedom in TOUCHES_PER_FREEDOM:
-        draws = []
-        for turn in range(repeats):
-            rng = np.random.default_rng([seed, turn])
-            found = Sample.draw(product, k, per_freedom, rng).errors(k)
-            draws.append([found[method] for method in METHODS])
-        yield [f"{value:.4g}" for value in (field.frequency_hz, per_freedom, *np.mean(draws, axis=0))]
+    nearest = NearestNDInterpolator(known_mm, known)(asked_mm)
+    cubic = CloughTocher2DInterpolator(known_mm, known)(asked_mm)
+    generic = (partial(_gaussian, length_mm=length / wavenumber_per_mm) for length in LENGTHS)
+    return [
+        error(nearest),
+        error(np.where(np.isnan(cubic), nearest, cubic)),
+        min(map(kernel_error, generic)),  # the best length on the test: more than it could know
+        kernel_error(partial(covariance, wavenumber_per_mm=wavenumber_per_mm)),
+    ]
 
 
 def _gaussian(r_mm: Floats, length_mm: float) -> Floats:
@@ -179,17 +158,19 @@ def _gaussian(r_mm: Floats, length_mm: float) -> Floats:
 @click.command(help=(__doc__ or "").split("\n")[0])
 @click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--csv", "table", type=click.Path(path_type=Path), help="Write the table of errors to this file.")
-@click.option("--repeats", default=4, show_default=True, help="Parts of the plate over which errors are averaged.")
-@click.option("--seed", default=1, show_default=True)
-def main(folder: Path, table: Path | None, repeats: int, seed: int) -> None:
+def main(folder: Path, table: Path | None) -> None:
     """Print the band limit and the errors of prediction for the scans in a folder."""
     rows = []
     for path in sorted(folder.glob("Data_AlSide_*.mat")):
         field = read_field(path)
-        k = field.wavenumber_per_mm
-        wave, product = field.share_above(BAND_MARGIN * k), field.product().share_above(2 * BAND_MARGIN * k)
-        print(f"{path.name}: k = {k:.3f} rad/mm; above 1.15 k {wave:.2%}; of the product above 2.3 k {product:.2%}")
-        for row in measure(field, repeats, seed):
+        k, product = field.wavenumber_per_mm, field.product()
+        above, above_twice = field.share_above(BAND_MARGIN * k), product.share_above(2 * BAND_MARGIN * k)
+        print(
+            f"{path.name}: k = {k:.3f} rad/mm; above 1.15 k {above:.2%}; of the product above 2.3 k {above_twice:.2%}"
+        )
+        for per_freedom in TOUCHES_PER_FREEDOM:
+            found = [errors(product, k, per_freedom, np.random.default_rng([SEED, turn])) for turn in range(REPEATS)]
+            row = [f"{value:.4g}" for value in (field.frequency_hz, per_freedom, *np.mean(found, axis=0))]
             rows.append(row)
             print("  " + "  ".join(f"{name} {value}" for name, value in zip(HEADINGS, row, strict=True)), flush=True)
     if not rows:

@@ -7,10 +7,10 @@ that was started then, so a part depends on nothing but its own files.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import structs
@@ -20,7 +20,7 @@ from touchd.config.schema import Settings
 from touchd.errors import RecordingShape, RecordingValues
 from touchd.evaluation.replay_scores import StreamScores, joined, score_stream
 from touchd.event import TouchEvent
-from touchd.frame import Acquisition, Frame
+from touchd.frame import Frame
 from touchd.jobs import Job, run
 from touchd.localization.atlas import atlas_path
 from touchd.recording import npz
@@ -44,8 +44,7 @@ Progress = Callable[[int, int], object]
 """Called with the number of frames done and of all frames."""
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
+class Part(NamedTuple):
     """A run of a recording's frames, by their numbers."""
 
     files: list[str]
@@ -55,7 +54,6 @@ class Part:
     first: int
     """The first frame to score."""
     last: int
-    """The last one."""
     before: int
     """How many frames of the recording come before those that are scored."""
     frames: int
@@ -82,7 +80,10 @@ def score(
     jobs = [
         Job(f"frames {part.first} to {part.last}", score_part, {
             "part": part, "settings": chosen,
-            "versions": [_version(file) for file in (model, atlas_path(model), *map(Path, part.files))],
+            "versions": [
+                (str(file), file.stat().st_size, file.stat().st_mtime_ns)
+                for file in (model, atlas_path(model), *map(Path, part.files)) if file.exists()
+            ],
         })
         for part in parts
     ]  # fmt: skip
@@ -95,7 +96,8 @@ def score(
         progress(done, sum(frames.values()))
 
     with parts_kept("evaluate", [job.arguments for job in jobs]) as kept:
-        return joined(list(run(jobs, workers=workers, cache=kept, progress=advance).values()))
+        found: list[StreamScores] = list(run(jobs, workers=workers, cache=kept, progress=advance).values())
+    return joined(found)
 
 
 def plan(path: Path, part_frames: int) -> list[Part]:
@@ -123,29 +125,25 @@ def score_part(part: Part, settings: dict[str, Any], versions: Sequence[Any] = (
     """Replay and score one part, as a job; what is kept of it is for these `versions` of its files."""
     span = _Span(part)
     events = run_through(span, Settings.model_validate(settings)).touches
-    return score_stream(span.labels(), list(_of_part(events, span.part.first)))
+    return score_stream(span.labels(), list(_of_part(events, part.first)))
 
 
 def _of_part(events: Sequence[TouchEvent], first: int) -> Iterator[TouchEvent]:
     """Yield the messages from a frame on, without the contacts that went down before: they are the last part's."""
-    before: set[int] = set()
+    before = {contact.id for event in events if event.frame < first for contact in event.contacts}
     for event in events:
-        if event.frame < first:
-            before |= {contact.id for contact in event.contacts}
-        elif before:
+        if event.frame >= first:
             yield structs.replace(event, contacts=[contact for contact in event.contacts if contact.id not in before])
-        else:
-            yield event
 
 
 class _Span:
     """The frames of a part, as a source."""
 
     def __init__(self, part: Part) -> None:
-        self.part = part
+        self._part = part
         files = [Path(file) for file in part.files]
         self._reader = Reader(files[0].parent, files)
-        self.acquisition: Acquisition = self._reader.acquisition
+        self.acquisition = self._reader.acquisition
         self._frames = self._play()
         self._scored: list[Recording] = []
 
@@ -160,7 +158,7 @@ class _Span:
 
     def labels(self) -> Recording:
         """Return what is scored of the frames that were read, without their counts."""
-        made, before = join(self._scored), self.part.before
+        made, before = join(self._scored), self._part.before
         acts = [
             act.model_copy(update={"begin": max(act.begin - before, 0), "end": max(act.end - before, 0)})
             for act in made.meta.acts
@@ -168,19 +166,15 @@ class _Span:
         return replace(made, meta=made.meta.model_copy(update={"acts": tuple(acts)}))
 
     def _play(self) -> Iterator[Frame]:
-        part = self.part
+        part = self._part
         for chunk in self._reader:
             begin, first, after = np.searchsorted(chunk.sequence, (part.begin, part.first, part.last + 1))
-            self._scored.append(_without_counts(chunk, slice(first, after)))
+            kept = {name: array[first:after] for name in ARRAYS if (array := getattr(chunk, name)) is not None}
+            self._scored.append(replace(chunk, **kept | {"frames": chunk.frames[:0]}))
             rows = zip(chunk.frames[begin:after], chunk.sequence[begin:after].tolist(),
                        chunk.timestamp_ns[begin:after].tolist(), strict=True)  # fmt: skip
             for counts, number, t_ns in rows:
                 yield Frame(counts, number, _BEGIN_NS + t_ns, _BEGIN_NS + t_ns)
-
-
-def _without_counts(chunk: Recording, rows: slice) -> Recording:
-    kept = {name: array[rows] for name in ARRAYS if (array := getattr(chunk, name)) is not None}
-    return replace(chunk, **kept | {"frames": chunk.frames[:0]})
 
 
 def _labels(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
@@ -191,12 +185,3 @@ def _labels(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[n
     if arrays["contacts_mm"].shape[:1] != arrays["sequence"].shape or arrays["contacts_mm"].ndim != 3:
         raise RecordingShape("contacts_mm does not fit the frames", str(path), "see docs/formats.md")
     return arrays["sequence"], arrays["timestamp_ns"], np.isfinite(arrays["contacts_mm"]).any(axis=(1, 2))
-
-
-def _version(path: Path) -> list[Any]:
-    """Return what tells one content of a file from another; of a file that is not there, nothing but its name."""
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        return [str(path)]
-    return [str(path), status.st_size, status.st_mtime_ns]

@@ -1,6 +1,6 @@
 """Place single touches of the twin, case by case, and write a row for each.
 
-    python -m touchd.lab.study contacts|rigs -o FILE.csv [--touches N] [--seed N] [--model MODEL.onnx] [CASE ...]
+    python -m touchd.lab.study contacts|rigs -o FILE.csv [--touches N] [--seed N]
 
 `contacts` are kinds of fingers, beside the bound for the same contacts; failures are per thousand touches. `rigs` are
 effects of a real rig, one at a time. The model is as shipped: trained on the ideal rig, by a robot's silicone tip.
@@ -32,6 +32,11 @@ BLOCK = 200
 """Frames simulated at a time; the first block has the seed, the next has the next."""
 BOUND_TOUCHES = 100
 OFF_MM = 1.0
+SCORES = (
+    "median_mm", "p95_mm", "within_1_sigma", "within_2_sigma", "faces_told", "area_median", "area_p95",
+    "major_median_mm", "major_p95_mm", "angle_median_deg", "angle_p95_deg",
+)  # fmt: skip
+"""Of `scores_by_fingers`, in the rows of `contacts`."""
 
 
 class Kind(NamedTuple):
@@ -82,52 +87,36 @@ EFFECTS = {
 """Rigs by the name of their effect."""
 
 
-class Placed(NamedTuple):
-    """Touches of one kind on one rig, as the daemon's localizer places them."""
-
-    matches: Matches
-    scores: dict[str, Any]
-    first: Recording
-    """The first block."""
-
-
-def place(kind: Kind, rig: Rig, instrument: Instrument, touches: int, seed: int, model: Model) -> Placed:
-    """Simulate touches, and place each as a touch-down on its own."""
-    seen, first, frames = [], None, -(-touches // kind.fingers)
+def place(
+    kind: Kind, rig: Rig, instrument: Instrument, touches: int, seed: int, model: Model
+) -> tuple[Matches, dict[str, Any], Recording]:
+    """Simulate touches, and place each as a touch-down on its own; return also the scores, and the first block."""
+    seen, blocks, frames = [], [], -(-touches // kind.fingers)
     for number, start in enumerate(range(0, frames, BLOCK)):
         recording = simulate_touches(
             min(BLOCK, frames - start), seed=seed + number, instrument=instrument, electronics=rig.electronics,
             finger=kind.finger, fingers=kind.fingers, apart_mm=kind.apart_mm,
         )  # fmt: skip
-        first, touched = first or recording, touched_frames(recording)
+        touched = touched_frames(recording)
         seen += see(find_with(model, model.atlas, touched), touched)
-    assert first is not None  # there is a touch
+        blocks.append(recording)
     matches = match_frames(seen)
     (scores,) = scores_by_fingers(matches).values()
-    return Placed(matches, scores, first)
+    return matches, scores, blocks[0]
 
 
 def contacts(name: str, touches: int, seed: int, model: Model) -> Iterator[dict[str, Any]]:
     """Yield the row of one of `KINDS`."""
     kind, instrument = KINDS[name], Instrument(DEFAULT_PLATE)
-    found = place(kind, IDEAL, instrument, touches, seed, model)
-    matches, scores, count = found.matches, found.scores, int(found.matches.fingers.sum())
-    failures = {
-        "missed": scores["missed"] / count, "wrong_number": 1 - scores["count_right"],
-        "off_by_more_than_1_mm": float((matches.judged.distance_mm > OFF_MM).sum()) / count,
+    matches, scores, first = place(kind, IDEAL, instrument, touches, seed, model)
+    count = int(matches.fingers.sum())
+    yield {
+        "contact": name, "touches": count, "missed_per_1000": 1000 * (scores["missed"] / count),
+        "wrong_number_per_1000": 1000 * (1 - scores["count_right"]),
+        "off_by_more_than_1_mm_per_1000": 1000 * (float((matches.judged.distance_mm > OFF_MM).sum()) / count),
+        **{what: scores[what] for what in SCORES},
+        "bound_mm": bound(first, kind.finger, instrument) if kind.fingers == 1 else None,
     }  # fmt: skip
-    yield (
-        {"contact": name, "touches": count}
-        | {f"{what}_per_1000": 1000 * share for what, share in failures.items()}
-        | {
-            what: scores[what]
-            for what in (
-                "median_mm", "p95_mm", "within_1_sigma", "within_2_sigma", "faces_told", "area_median", "area_p95",
-                "major_median_mm", "major_p95_mm", "angle_median_deg", "angle_p95_deg",
-            )
-        }
-        | {"bound_mm": bound(found.first, kind.finger, instrument) if kind.fingers == 1 else None}
-    )  # fmt: skip
 
 
 def bound(recording: Recording, finger: str, instrument: Instrument) -> float:
@@ -148,7 +137,7 @@ def rigs(name: str, touches: int, seed: int, model: Model) -> Iterator[dict[str,
     """Yield the rows of one of `EFFECTS`: a silicone tip's and a fingertip's."""
     rig = EFFECTS[name]
     for contact in ("silicone tip", "fingertip"):
-        scores = place(KINDS[contact], rig, rig.instrument(DEFAULT_PLATE), touches, seed, model).scores
+        scores = place(KINDS[contact], rig, rig.instrument(DEFAULT_PLATE), touches, seed, model)[1]
         yield {
             "effect": name, "contact": contact, "touches": touches, "right_number": scores["count_right"],
             "median_mm": scores["median_mm"], "p95_mm": scores["p95_mm"], "within_1_mm": scores["all_within_1_mm"],
@@ -163,21 +152,17 @@ STUDIES: dict[str, tuple[Callable[..., Iterator[dict[str, Any]]], tuple[str, ...
 
 @click.command()
 @click.argument("study", type=click.Choice(list(STUDIES)))
-@click.argument("cases", nargs=-1, metavar="[CASE]...")
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The table to write (.csv).")
 @click.option("--touches", default=1000, show_default=True, type=click.IntRange(min=1), help="Fingers of each row.")
 @click.option("--seed", default=7000, show_default=True, help="Of touches that neither training nor thresholds saw.")
-@click.option("--model", type=click.Path(path_type=Path), help="Network beside its atlas.  [default: shipped]")
-def command(study: str, cases: tuple[str, ...], output: Path, touches: int, seed: int, model: Path | None) -> None:
-    """Measure each CASE of STUDY, by default all, and write its rows as they are known."""
-    rows_of, known = STUDIES[study]
-    if strange := set(cases) - set(known):
-        raise click.BadParameter(f"no case {', '.join(sorted(strange))}; there are: {', '.join(known)}")
-    loaded = Model(model or default_model_path())
+def command(study: str, output: Path, touches: int, seed: int) -> None:
+    """Measure all cases of STUDY, and write their rows as they are known."""
+    rows_of, cases = STUDIES[study]
+    model = Model(default_model_path())
     with output.open("w", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
-        for case in cases or known:
-            for row in rows_of(case, touches, seed, loaded):
+        for case in cases:
+            for row in rows_of(case, touches, seed, model):
                 if not file.tell():
                     table.writerow(row)
                 table.writerow([f"{value:.3g}" if isinstance(value, float) else value for value in row.values()])

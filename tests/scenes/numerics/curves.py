@@ -14,7 +14,7 @@ from touchd.evaluation.dataset import Dataset, make_dataset
 from touchd.evaluation.matching import match_frames
 from touchd.evaluation.model_scores import judge
 from touchd.evaluation.single_frames import find_with, see, touched_frames
-from touchd.lab.dictionary import Correlation, Nearest
+from touchd.lab.reproduction.experiments import Correlation, Nearest
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import band_bins
 from touchd.localization.model import Model

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tests.processes import PATIENCE_S, started
 from touchd.client import Subscriber
 from touchd.event import TouchEvent
-from touchd.lab.benchmark.machine import this_machine
+from touchd.lab.benchmark.results import this_machine
 from touchd.recording.format import write
 from touchd.twin.simulate import simulate_scene
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.conftest import KNOWN
 from touchd.evaluation.dataset import Dataset
-from touchd.lab.dictionary import LAGS_S, Correlation, Nearest
+from touchd.lab.reproduction.experiments import LAGS_S, Correlation, Nearest
 from touchd.localization.features import band_bins
 
 

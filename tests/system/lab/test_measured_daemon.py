@@ -8,8 +8,7 @@ import pytest
 
 from touchd.errors import JobError
 from touchd.lab.benchmark import daemon
-from touchd.lab.benchmark.bare import write_bare
-from touchd.lab.benchmark.loop import Loop
+from touchd.lab.benchmark.loop import Loop, write_bare
 from touchd.lab.benchmark.results import DaemonResult
 from touchd.lab.benchmark.scenes import make_loop
 from touchd.localization.model import default_model_path

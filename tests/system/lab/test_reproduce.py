@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from touchd.cli.reproduce import command
 from touchd.errors import TrainingError
 from touchd.evaluation.dataset import MIN_TOUCHES
-from touchd.lab.reproduction import plan, run
+from touchd.lab.reproduction import run
 from touchd.lab.reproduction.sets import simulated
 from touchd.localization.model import default_model_path
 from touchd.recording import format as recording
@@ -31,13 +31,13 @@ def touches(instrument: Instrument) -> Recording:
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few heads and two shares instead of ten and five."""
-    monkeypatch.setattr(plan, "GRIDS", (2, 10))
-    monkeypatch.setattr(plan, "HEADS", ("R", "C-2", "C-10"))
-    monkeypatch.setattr(plan, "SHARES", (1.0, 0.2))
-    monkeypatch.setattr(plan, "KEYPAD_SEEDS", (0,))
+    monkeypatch.setattr(run, "GRIDS", (2, 10))
+    monkeypatch.setattr(run, "HEADS", ("R", "C-2", "C-10"))
+    monkeypatch.setattr(run, "SHARES", (1.0, 0.2))
+    monkeypatch.setattr(run, "KEYPAD_SEEDS", (0,))
     # Those that learn no field, which takes longer than all the rest and has tests of its own.
-    monkeypatch.setattr(plan, "KEYPAD_RECIPE", "paper-keypad")
-    monkeypatch.setattr(plan, "PLATE_RECIPE", "paper-regression")
+    monkeypatch.setattr(run, "KEYPAD_RECIPE", "paper-keypad")
+    monkeypatch.setattr(run, "PLATE_RECIPE", "paper-regression")
 
 
 def reproduce(*arguments: object) -> str:
@@ -93,8 +93,8 @@ def test_too_few(count: int, named: str, instrument: Instrument, tmp_path: Path)
 
 def test_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On the twin the shipped models are judged on seeds of their own."""
-    monkeypatch.setattr(plan, "DOMAINS", ("frequency",))
-    monkeypatch.setattr(plan, "HEADS", ("R", "C-2", "C-5", "C-10"))
+    monkeypatch.setattr(run, "DOMAINS", ("frequency",))
+    monkeypatch.setattr(run, "HEADS", ("R", "C-2", "C-5", "C-10"))
     whole = (run.TRAINING_SEED, run.CENTRAL_SEED, run.OTHER_SEED, run.CIRCLE_SEED)
     monkeypatch.setattr(
         run, "simulated", lambda kind, count, seed: simulated(kind, count if seed in whole else MIN_TOUCHES, seed)

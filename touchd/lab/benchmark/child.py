@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from math import inf
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,8 @@ from touchd.config.schema import LogSettings, Settings
 from touchd.errors import JobError
 from touchd.event import Contact
 from touchd.frame import Frame
-from touchd.lab.benchmark.bare import BareNetwork
-from touchd.lab.benchmark.loop import BURST, Loop, LoopSource
-from touchd.lab.benchmark.results import DaemonResult, percentiles, rounded
-from touchd.lab.benchmark.stopwatch import Stopwatch, spread
+from touchd.lab.benchmark.loop import BURST, BareNetwork, Loop, LoopSource
+from touchd.lab.benchmark.stopwatch import Stopwatch, percentiles, spread
 from touchd.outcome import Counters
 from touchd.service import realtime
 from touchd.service.daemon import load_model, make_service
@@ -34,23 +32,8 @@ WARM_UP_RUNS, BARE_RUNS = 50, 400
 PATIENCE_S = 30.0
 BURN_IN_S = 0.3
 """Frames of this time at the start are discarded."""
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """Parameters of a run."""
-
-    scene: str
-    loop: Loop
-    rate_hz: float | None
-    """None for full speed."""
-    seconds: float
-    bare: Path
-    settings: dict[str, Any]
-    cpus: tuple[int, ...]
-    """Processors to run on; empty leaves it to the kernel."""
-    begun_ns: int
-    """When the process was started."""
+Found = tuple[dict[str, Any], dict[int, int]]
+"""Fields of a `DaemonResult`, timed to the decision; and when each counted frame was complete, ns, by its number."""
 
 
 class Clocked(PreRoll):
@@ -72,40 +55,33 @@ class Clocked(PreRoll):
         super().keep(frame, contacts)
 
 
-class Pauses:
-    """Measures the pauses of the garbage collector, as a callback of `gc`."""
-
-    def __init__(self) -> None:
-        self.us: list[float] = []
-        self._since_ns = 0
-
-    def __call__(self, phase: str, _info: dict[str, int]) -> None:
-        """Record a pause."""
-        if phase == "start":
-            self._since_ns = time.perf_counter_ns()
-        else:
-            self.us.append((time.perf_counter_ns() - self._since_ns) * 1e-3)
-
-
-def main(task: Task, connection: Connection) -> None:
-    """Send what was measured, or the text of the error."""
+def main(connection: Connection, *arguments: Any) -> None:
+    """Send what `run` found, or the text of the error."""
     try:
-        connection.send(run(task))
+        connection.send(run(*arguments))
     except Exception as error:
         connection.send(str(error) or repr(error))
 
 
-def run(task: Task) -> tuple[DaemonResult, dict[int, int]]:
-    """Run the daemon through a scene.
+def run(
+    loop: Loop, rate_hz: float | None, seconds: float, bare_path: Path, chosen: dict[str, Any], cpus: tuple[int, ...],
+    begun_ns: int,
+) -> Found:  # fmt: skip
+    """Run the daemon through a scene, with some settings on some processors; without any, the kernel chooses.
 
-    Returns the result, timed to the decision, and when each counted frame was complete, ns, by its number.
+    `rate_hz` is None at full speed; `begun_ns` is when the process was started.
     """
-    full_speed = task.rate_hz is None
+    full_speed = rate_hz is None
     # At full speed bare runs alternate with frames; at a steady rate their memory would distort the result.
-    bare = _warm(task.bare) if full_speed else None
-    watch, pauses = Stopwatch(), Pauses()
+    bare = _warm(bare_path) if full_speed else None
+    watch = Stopwatch()
+    collector_ns: list[int] = []
+    """When each garbage collection began and ended, in turns."""
     at_start: dict[str, float] = {}
     bare_cpu_s = 0.0
+
+    def collecting(_phase: str, _info: dict[str, int]) -> None:
+        collector_ns.append(time.perf_counter_ns())
 
     def burst() -> None:
         nonlocal bare_cpu_s
@@ -115,52 +91,51 @@ def run(task: Task) -> tuple[DaemonResult, dict[int, int]]:
         bare_cpu_s += time.thread_time() - before_s
 
     def begun() -> None:
-        gc.callbacks.append(pauses)
+        gc.callbacks.append(collecting)
         at_start.update(_counted(service.pipeline.counters), cpu_s=time.process_time(), wall_s=time.monotonic())
 
-    settings = Settings.model_validate(task.settings)
+    settings = Settings.model_validate(chosen)
     configure(LogSettings(level="error"))
-    if task.cpus:
-        os.sched_setaffinity(0, task.cpus)
+    if cpus:
+        os.sched_setaffinity(0, cpus)
     model = load_model(settings)
-    source = LoopSource(task.loop, task.rate_hz or float("inf"), task.seconds, burst, begun)
+    source = LoopSource(loop, rate_hz or inf, seconds, burst, begun)
     with realtime.giving_way() if full_speed else nullcontext():
         bus = ZeromqSink(settings.bus)
-    rate_hz = task.rate_hz or 125.0
-    meta = describe(source.acquisition, model.description.plate, rate_hz, source="benchmark", device=None)
-    preroll = Clocked(source.acquisition, rate_hz, lambda: meta, settings.preroll)
-    preroll.start_clock(source.lead + round(task.seconds * (task.rate_hz or 200_000)) + 1)
+    meta = describe(source.acquisition, model.description.plate, rate_hz or 125.0, source="benchmark", device=None)
+    preroll = Clocked(source.acquisition, rate_hz or 125.0, lambda: meta, settings.preroll)
+    preroll.start_clock(source.lead + round(seconds * (rate_hz or 200_000)) + 1)
     service = make_service(source, [bus], settings, model, preroll=preroll)
     realtime.freeze()
     ready_ns = time.monotonic_ns()
     bus.wait_for_subscriber(PATIENCE_S)
     service.run()
     cpu_s, wall_s = time.process_time() - at_start["cpu_s"], time.monotonic() - at_start["wall_s"]
-    gc.callbacks.remove(pauses)
+    gc.callbacks.remove(collecting)
     rss_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     preroll.close()
     if bare is None:
-        watch.time(_warm(task.bare), BARE_RUNS)
+        watch.time(_warm(bare_path), BARE_RUNS)
     first_ns = preroll.received_ns[source.lead] + BURN_IN_S * 1e9
     counted = source.lead + np.flatnonzero(preroll.received_ns[source.lead : preroll.count] >= first_ns)
     if not len(counted):
         raise JobError("the daemon took no frames", "benchmark", "allow it more time")
     handed = spread((preroll.done_ns[counted] - preroll.received_ns[counted]) * 1e-3)
+    pauses_us = np.diff(collector_ns)[::2] * 1e-3
     # Without the lead-in, and without the bare runs.
     frames, cpu_s, wall_s = preroll.count - source.lead, cpu_s - bare_cpu_s, wall_s - source.apart_ns * 1e-9
     counts = {name: count - at_start.get(name, 0) for name, count in _counted(service.pipeline.counters).items()}
     taken, lost, inferred = (counts.pop(name) for name in ("frames", "lost", "inferred"))
-    result = DaemonResult(
-        scene=task.scene, rate_hz=task.rate_hz, to="decision", frames=len(counted), **percentiles(handed),
-        handed_p50_us=rounded(handed.p50), handed_p99_us=rounded(handed.p99), handed_p999_us=rounded(handed.p999),
-        ratio=rounded(handed.p50 / float(np.median(watch.times_us))), frames_per_s=rounded(frames / wall_s),
-        frames_per_cpu_s=rounded(frames / cpu_s), cpu_share=rounded(cpu_s / wall_s, 4),
-        rss_mb=rounded(rss_bytes / 2**20, 4), gc_pauses=len(pauses.us),
-        gc_longest_us=rounded(max(pauses.us, default=0.0)), messages=0, lost=int(lost),
-        skipped={why: rounded(count / taken, 4) for why, count in counts.items() if count},
-        inferred=rounded(inferred / taken, 4), start_s=rounded((ready_ns - task.begun_ns) * 1e-9, 3),
-    )  # fmt: skip
-    return result, dict(zip(counted.tolist(), preroll.received_ns[counted].tolist(), strict=True))
+    found = percentiles(handed) | {
+        "to": "decision", "frames": len(counted),
+        "handed_p50_us": handed.p50, "handed_p99_us": handed.p99, "handed_p999_us": handed.p999,
+        "ratio": handed.p50 / float(np.median(watch.times_us)), "frames_per_s": frames / wall_s,
+        "frames_per_cpu_s": frames / cpu_s, "cpu_share": cpu_s / wall_s, "rss_mb": rss_bytes / 2**20,
+        "gc_pauses": len(pauses_us), "gc_longest_us": float(max(pauses_us, default=0.0)), "lost": int(lost),
+        "skipped": {why: count / taken for why, count in counts.items() if count},
+        "inferred": inferred / taken, "start_s": (ready_ns - begun_ns) * 1e-9,
+    }  # fmt: skip
+    return found, dict(zip(counted.tolist(), preroll.received_ns[counted].tolist(), strict=True))
 
 
 def _counted(counters: Counters) -> dict[str, float]:

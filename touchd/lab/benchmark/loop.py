@@ -1,22 +1,28 @@
-"""Play frames to and fro without a seam, for any duration."""
+"""What the measured daemon's process plays and runs beside it: a scene to and fro, and the bare network."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import chain, cycle
+from itertools import chain, cycle, pairwise
+from math import inf, sqrt
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.frame import Acquisition, Counts, Frame
+from touchd.localization.model import _load as open_session  # so that both share the session options
 from touchd.sources.source import EndOfStream
 
 PERIOD_NS = 8_000_000
 """Frame period in the frames' own time at full speed, as at 125 frames/s."""
 BURST_EVERY, BURST = 250, 10
 """At full speed, `BURST` bare runs follow every `BURST_EVERY` frames."""
+WIDTHS = (392, 400, 300, 200, 100, 2)
+"""Of the source paper's regression network, Bahrami et al. 2022: 357,000 multiply-adds."""
+OPSET, IR_VERSION = 17, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +54,7 @@ class LoopSource:
     ) -> None:  # fmt: skip
         self.acquisition = loop.acquisition
         self.lead = loop.lead
-        self._paced = rate_hz != float("inf")
+        self._paced = rate_hz != inf
         self._period_ns = round(1e9 / rate_hz) if self._paced else PERIOD_NS
         self._seconds = seconds
         self._between, self._begun = between, begun
@@ -97,3 +103,54 @@ class LoopSource:
     def close(self) -> None:
         """End the stream."""
         self._open = False
+
+
+class BareNetwork:
+    """The source paper's regression network with random weights, the unit of all run times; call it to run it once.
+
+    It runs on one thread, with buffers bound once, as the daemon runs its own.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._session = open_session(path)
+        self._binding = self._session.io_binding()
+        self._features = np.random.default_rng(0).standard_normal((1, WIDTHS[0])).astype(np.float32)
+        self.position_mm: NDArray[np.float32] = np.zeros((1, WIDTHS[-1]), np.float32)
+        for bind, name, buffer in (
+            (self._binding.bind_input, "features", self._features),
+            (self._binding.bind_output, "position_mm", self.position_mm),
+        ):
+            bind(name, "cpu", 0, np.float32, buffer.shape, buffer.ctypes.data)
+
+    def __call__(self) -> None:
+        """Run the network once."""
+        self._session.run_with_iobinding(self._binding)
+
+
+def write_bare(path: Path) -> Path:
+    """Write the bare network; its run time does not depend on the weights.
+
+    Batch normalisations are folded into the linear layers, as in every exported network.
+    """
+    from onnx import numpy_helper, parser  # would count as memory of the measured daemon
+
+    rng = np.random.default_rng(0)
+    nodes, weights, name = [], [], "features"
+    for stage, (inputs, outputs) in enumerate(pairwise(WIDTHS)):
+        weight = rng.standard_normal((outputs, inputs)) * sqrt(2 / inputs)
+        weights += [
+            numpy_helper.from_array(weight.astype(np.float32), f"weight{stage}"),
+            numpy_helper.from_array(np.full(outputs, 0.1, np.float32), f"bias{stage}"),
+        ]
+        product = f"product{stage}" if stage < len(WIDTHS) - 2 else "position_mm"
+        nodes.append(f"{product} = Gemm <transB = 1> ({name}, weight{stage}, bias{stage})")
+        name = f"stage{stage}"
+        if product != "position_mm":
+            nodes.append(f"{name} = Relu ({product})")
+    model = parser.parse_model(
+        f'<ir_version: {IR_VERSION}, opset_import: ["": {OPSET}]> bare (float[n, {WIDTHS[0]}] features) => '
+        f"(float[n, {WIDTHS[-1]}] position_mm) {{ {' '.join(nodes)} }}"
+    )
+    model.graph.initializer.extend(weights)
+    path.write_bytes(model.SerializeToString())
+    return path

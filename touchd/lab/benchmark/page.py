@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from touchd.evaluation.plots.session import COLOURS, save
 from touchd.files import replacing, writing
 from touchd.lab.benchmark import results, tables
-from touchd.lab.benchmark.results import BareTimes, DaemonResult, Run
+from touchd.lab.benchmark.results import BareTimes, Run
 from touchd.lab.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
 from touchd.training.report import template
 
@@ -46,7 +46,7 @@ def write(run: Run, folder: Path) -> None:
 def page(run: Run) -> str:
     """Return the page of a run, with its plot in the folder `PICTURES` beside it."""
     estimators = tuple(one for one in run.estimators if one.group in GROUPS and one.name not in VARIANTS)
-    shown = run.model_copy(update={"daemon": _decisive(run), "estimators": estimators})
+    shown = run.model_copy(update={"daemon": tables.first_rates(run), "estimators": estimators})
     return template.render(
         TEMPLATE, run=run, shown=shown, pictures=PICTURES, times=_times,
         budgets=tables.budget_table(run).markdown(),
@@ -54,12 +54,6 @@ def page(run: Run) -> str:
         daemon=tables.daemon_table(shown).pick(columns=DAEMON).markdown(),
         skips=", ".join(f"{one.name} ({one.scene}) {one.saved:.0%}" for one in run.skips),
     )  # fmt: skip
-
-
-def _decisive(run: Run) -> tuple[DaemonResult, ...]:
-    """Return each scene at its first rate."""
-    first = {cell.scene: cell for cell in reversed(run.daemon)}
-    return tuple(cell for cell in run.daemon if cell is first[cell.scene])
 
 
 def _times(one: BareTimes) -> str:

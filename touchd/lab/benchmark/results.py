@@ -1,35 +1,87 @@
-"""Results of `touchd benchmark`, as stored in JSON."""
+"""Results of `touchd benchmark` and the computer that it ran on, as stored in JSON."""
 
 from __future__ import annotations
 
+import os
+import platform
+import re
+from contextlib import suppress
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+import numpy as np
+import onnxruntime as ort
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
+from touchd import __version__
 from touchd.errors import ConfigError
 from touchd.files import replacing
-from touchd.lab.benchmark.machine import Machine
-from touchd.lab.benchmark.stopwatch import Spread
 
 BUS_RATE_HZ = 1000.0
 
 
+def rounded(value: float, digits: int = 5) -> float:
+    """Round a value to `digits` significant digits; further digits are noise."""
+    return float(f"{value:.{digits}g}")
+
+
+Rounded = Annotated[float, AfterValidator(rounded)]
+
+
 class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class Machine(_Part):
+    """Hardware and software of a run, without what identifies the computer."""
+
+    cpu: str
+    cores: int
+    """Cores that this process may use."""
+    caches: str
+    """Data and unified caches of the first processor."""
+    memory_gb: float
+    kernel: str
+    python: str
+    numpy: str
+    onnxruntime: str
+    touchd: str
+    load: float
+    """Load average at the start: other programs disturb the measurement."""
+
+    def line(self) -> str:
+        """Return the description in one line."""
+        return (
+            f"{self.cpu}, {self.cores} cores, {self.caches}, {self.memory_gb:.0f} GB; Linux {self.kernel}, "
+            f"Python {self.python}, NumPy {self.numpy}, ONNX Runtime {self.onnxruntime}, touchd {self.touchd}; "
+            f"load {self.load:.1f}"
+        )
+
+
+def this_machine() -> Machine:
+    """Describe this computer."""
+    cpu = re.search(r"^(?:model name|Model)\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+    caches = []
+    for folder in sorted(Path("/sys/devices/system/cpu/cpu0/cache").glob("index*")):
+        with suppress(OSError):  # a virtual machine may hide the sizes
+            level, kind, size = ((folder / name).read_text().strip() for name in ("level", "type", "size"))
+            if kind != "Instruction":
+                caches.append(f"L{level} {size}")
+    return Machine(
+        cpu=cpu[1].strip() if cpu else platform.machine(), cores=len(os.sched_getaffinity(0)),
+        caches=" ".join(caches) or "caches unknown",
+        memory_gb=round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+        kernel=platform.release(), python=platform.python_version(), numpy=np.__version__,
+        onnxruntime=ort.__version__, touchd=__version__, load=round(os.getloadavg()[0], 2),
+    )  # fmt: skip
 
 
 class BareTimes(_Part):
     """Percentiles of the bare network or the bare bus, us."""
 
-    p50: float
-    p99: float
-    p999: float
-
-    @classmethod
-    def of(cls, times: Spread) -> BareTimes:
-        """Return the percentiles of measured times, rounded."""
-        return cls(p50=rounded(times.p50), p99=rounded(times.p99), p999=rounded(times.p999))
+    p50: Rounded
+    p99: Rounded
+    p999: Rounded
 
 
 class EstimatorResult(_Part):
@@ -37,13 +89,13 @@ class EstimatorResult(_Part):
 
     name: str
     group: str
-    p50_us: float
-    p99_us: float
-    p999_us: float
-    max_us: float
-    ratio: float
+    p50_us: Rounded
+    p99_us: Rounded
+    p999_us: Rounded
+    max_us: Rounded
+    ratio: Rounded
     """Run time relative to the bare network: median over batches that took turns."""
-    floor_us: float
+    floor_us: Rounded
     """Time to read `bytes` once from the cache that holds them."""
     calls: int
     macs: int
@@ -51,9 +103,9 @@ class EstimatorResult(_Part):
     touches: int
     missed: int
     """Touches without an estimate; the errors are of the others."""
-    rmse_mm: float
-    median_mm: float
-    p95_mm: float
+    rmse_mm: Rounded
+    median_mm: Rounded
+    p95_mm: Rounded
     remark: str = ""
 
 
@@ -67,32 +119,32 @@ class DaemonResult(_Part):
     """Where the times end: at a subscriber in another process; at the decision, if no message is sent; at the socket at
     full speed, where messages queue up for the subscriber."""
     frames: int
-    p50_us: float
-    p99_us: float
-    p999_us: float
-    max_us: float
-    handed_p50_us: float
+    p50_us: Rounded
+    p99_us: Rounded
+    p999_us: Rounded
+    max_us: Rounded
+    handed_p50_us: Rounded
     """Time until the socket has the messages, or until the decision to send none."""
-    handed_p99_us: float
-    handed_p999_us: float
-    ratio: float
+    handed_p99_us: Rounded
+    handed_p999_us: Rounded
+    ratio: Rounded
     """`handed_p50_us` relative to the bare network in the same process."""
-    frames_per_s: float
-    frames_per_cpu_s: float
+    frames_per_s: Rounded
+    frames_per_cpu_s: Rounded
     """Frames per second of processor time, which other programs do not affect."""
-    cpu_share: float
+    cpu_share: Rounded
     """Share of one processor."""
-    rss_mb: float
+    rss_mb: Rounded
     gc_pauses: int
-    gc_longest_us: float
+    gc_longest_us: Rounded
     messages: int
     lost: int
     """Messages that the subscriber missed, plus frames that the source missed."""
-    skipped: dict[str, float]
+    skipped: dict[str, Rounded]
     """Share of the frames by reason."""
-    inferred: float
+    inferred: Rounded
     """Share of the frames that ran the network."""
-    start_s: float
+    start_s: Rounded
     """Time from process start to the first frame."""
 
 
@@ -101,21 +153,21 @@ class SkipResult(_Part):
 
     name: str
     scene: str
-    with_us: float
-    without_us: float
-    saved: float
+    with_us: Rounded
+    without_us: Rounded
+    saved: Rounded
     """Share of the time saved, median over turns."""
     same: str
     """Difference between the events with and without the skip."""
 
 
 class Day(_Part):
-    """A typical day: processor time per hour at 125 frames/s."""
+    """A typical day: share of each scene, and processor time per hour at 125 frames/s."""
 
     idle: float
     still: float
     moving: float
-    cpu_s_per_hour: float
+    cpu_s_per_hour: Rounded
 
 
 class Touches(_Part):
@@ -144,7 +196,7 @@ class Run(_Part):
     note: str = ""
     """A sentence for the page, about a run that is kept although the code has changed since."""
     quick: bool
-    seconds: float
+    seconds: Rounded
     machine: Machine
     touches: Touches
     bare_us: BareTimes
@@ -194,14 +246,3 @@ def store(run: Run, path: Path) -> None:
     """
     with replacing(path) as file:
         file.write(run.model_dump_json(indent=1).encode() + b"\n")
-
-
-def percentiles(times: Spread) -> dict[str, float]:
-    """Return the fields `p50_us` to `max_us` of a result."""
-    names = ("p50_us", "p99_us", "p999_us", "max_us")
-    return {name: rounded(us) for name, us in zip(names, times, strict=True)}
-
-
-def rounded(value: float, digits: int = 5) -> float:
-    """Round a value to `digits` significant digits; further digits are noise."""
-    return float(f"{value:.{digits}g}")

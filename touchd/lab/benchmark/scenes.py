@@ -101,23 +101,17 @@ def held_out(count: int, instrument: Instrument) -> list[Block]:
     )
     reference = instrument.untouched([REFERENCE_C])[0]
     digitiser = Digitiser(Electronics(), instrument.acquisition, reference, np.random.SeedSequence(SEED))
-    parts = [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
-    return [
-        _block(instrument, digitiser, REFERENCE_C + warmer_k, before[part], last[part])
-        for part, warmer_k in zip(parts, walk_k, strict=True)
-    ]
-
-
-def _block(
-    instrument: Instrument, digitiser: Digitiser, temperature_c: float, before: list[Contact], last: list[Contact]
-) -> Block:
-    at_c = np.full(UNTOUCHED + 2 * BLOCK, temperature_c)
-    signal = instrument.untouched(at_c)
-    signal[UNTOUCHED:] += instrument.change([[contact] for contact in (*before, *last)], at_c[UNTOUCHED:])
-    counts = digitiser.counts(signal, np.zeros(len(at_c)))
-    baseline = counts[:UNTOUCHED].mean(axis=0, dtype=np.float32)
-    untouched, preceding, touched = np.split(residual_of(counts, baseline), [UNTOUCHED, UNTOUCHED + BLOCK])
-    return Block(baseline, untouched, preceding, touched, last)
+    blocks = []
+    for start, warmer_k in zip(range(0, count, BLOCK), walk_k, strict=True):
+        part = slice(start, start + BLOCK)
+        at_c = np.full(UNTOUCHED + 2 * BLOCK, REFERENCE_C + warmer_k)
+        signal = instrument.untouched(at_c)
+        signal[UNTOUCHED:] += instrument.change([[touch] for touch in (*before[part], *last[part])], at_c[UNTOUCHED:])
+        counts = digitiser.counts(signal, np.zeros(len(at_c)))
+        baseline = counts[:UNTOUCHED].mean(axis=0, dtype=np.float32)
+        untouched, preceding, touched = np.split(residual_of(counts, baseline), [UNTOUCHED, UNTOUCHED + BLOCK])
+        blocks.append(Block(baseline, untouched, preceding, touched, last[part]))
+    return blocks
 
 
 def make_loop(name: str, instrument: Instrument) -> Loop:

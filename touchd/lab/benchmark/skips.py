@@ -4,60 +4,45 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 
 from touchd.config.schema import Settings
-from touchd.event import Contact, Event, TouchEvent
+from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
 from touchd.lab.benchmark.daemon import FOREVER_S
 from touchd.lab.benchmark.loop import PERIOD_NS, Loop, LoopSource
-from touchd.lab.benchmark.results import EstimatorResult, SkipResult, rounded
+from touchd.lab.benchmark.results import EstimatorResult, SkipResult
 from touchd.lab.benchmark.stopwatch import Stopwatch, ratio, spread
 from touchd.localization.model import Model
 from touchd.service.daemon import make_pipeline
 from touchd.service.messages import Messages
 
 BATCH = 25
-
-
-@dataclass(frozen=True, slots=True)
-class _Case:
-    name: str
-    scene: str
-    subscribed: bool = True
-    """Whether a subscriber wants touches."""
-    screen_off: bool = False
-
-
-CASES = (
-    _Case("gate", "idle"),
-    _Case("still", "still"),
-    _Case("unheard", "moving", subscribed=False),
-    _Case("screen", "moving", screen_off=True),
-)
+SCENES = {"gate": "idle", "still": "still", "unheard": "moving", "screen": "moving"}
+"""Where each skip is measured; for `unheard` no subscriber wants touches, for `screen` the screen is off."""
 
 
 class _Played:
     """A pipeline that processes a loop."""
 
-    def __init__(self, case: _Case, loop: Loop, model: Model, skip: bool) -> None:
+    def __init__(self, name: str, loop: Loop, model: Model, skip: bool) -> None:
         settings = Settings.model_validate(
-            {"skip": {case.name: skip}, "baseline": {"absorb_s": FOREVER_S}, "model": {"path": str(model.path)}}
+            {"skip": {name: skip}, "baseline": {"absorb_s": FOREVER_S}, "model": {"path": str(model.path)}}
         )
         source = LoopSource(loop, math.inf, 0.0)
         self._pipeline = make_pipeline(source, settings, model, notify=lambda _reason, _fields: None)
-        self._messages = Messages(settings, lambda topic: case.subscribed and topic == "touch")
+        self._messages = Messages(settings, lambda topic: name != "unheard" and topic == "touch")
         self._frames = (Frame(counts, i, i * PERIOD_NS, 0) for i, counts in enumerate(loop.counts()))
+        self.watch = Stopwatch()
         self.events: list[Event] = []
         for frame in islice(self._frames, loop.lead):
             self.events += self._take(frame)
-        if case.screen_off:
+        if name == "screen":
             self._pipeline.set_screen(off=True)
 
-    def batch(self, watch: Stopwatch) -> None:
+    def batch(self) -> None:
         """Process a batch of frames and add their times."""
         clock, times_ns = time.perf_counter_ns, []
         for frame in islice(self._frames, BATCH):
@@ -65,7 +50,7 @@ class _Played:
             events = self._take(frame)
             times_ns.append(clock() - begun_ns)
             self.events += events
-        watch.add(times_ns)
+        self.watch.add(times_ns)
 
     def _take(self, frame: Frame) -> list[Event]:
         """Return the messages of a frame, as the service makes them."""
@@ -75,45 +60,47 @@ class _Played:
         return []
 
 
-def measure(loops: Mapping[str, Loop], model: Path, rounds: int, tick: Callable[[], object]) -> list[SkipResult]:
-    """Measure every skip that the configuration can turn off."""
+def measure(
+    loops: Mapping[str, Loop],
+    path: Path,
+    rounds: int,
+    estimators: Sequence[EstimatorResult],
+    tick: Callable[[], object],
+) -> list[SkipResult]:
+    """Measure every skip that the configuration can turn off, and add what tracking saves of `estimators`."""
     found = []
-    loaded = Model(model)
-    for case in CASES:
-        loop = loops[case.scene]
-        with_it, without = _Played(case, loop, loaded, skip=True), _Played(case, loop, loaded, skip=False)
-        one, other = Stopwatch(), Stopwatch()
+    model = Model(path)
+    for name, scene in SCENES.items():
+        with_it, without = (_Played(name, loops[scene], model, skip) for skip in (True, False))
         for _ in range(rounds):
-            with_it.batch(one)
-            without.batch(other)
+            with_it.batch()
+            without.batch()
         found.append(SkipResult(
-            name=case.name, scene=case.scene, with_us=rounded(spread(one.times_us).p50),
-            without_us=rounded(spread(other.times_us).p50), saved=rounded(1 - ratio(one, other), 3),
-            same=_compared(case, with_it.events, without.events),
+            name=name, scene=scene, with_us=spread(with_it.watch.times_us).p50,
+            without_us=spread(without.watch.times_us).p50, saved=1 - ratio(with_it.watch, without.watch),
+            same="no touches, as asked" if name == "screen" else _compared(with_it.events, without.events),
         ))  # fmt: skip
         tick()
+    one = {each.name: each for each in estimators}
+    if "atlas, tracking" in one:
+        down, followed = one["atlas, touch-down"], one["atlas, tracking"]
+        found.append(SkipResult(
+            name="tracking", scene="moving", with_us=followed.p50_us, without_us=down.p50_us,
+            saved=1 - followed.ratio / down.ratio,
+            same=f"median error {followed.median_mm:.3f} mm, with the network {down.median_mm:.3f} mm",
+        ))  # fmt: skip
     return found
 
 
-def tracking(estimators: Mapping[str, EstimatorResult]) -> SkipResult | None:
-    """Return the time that tracking saves by not running the network; None without an atlas."""
-    down, followed = estimators.get("atlas, touch-down"), estimators.get("atlas, tracking")
-    if down is None or followed is None:
-        return None
-    return SkipResult(
-        name="tracking", scene="moving", with_us=followed.p50_us, without_us=down.p50_us,
-        saved=rounded(1 - followed.ratio / down.ratio, 3),
-        same=f"median error {followed.median_mm:.3f} mm, with the network {down.median_mm:.3f} mm",
-    )  # fmt: skip
-
-
-def _compared(case: _Case, some: list[Event], all_of_them: list[Event]) -> str:
+def _compared(some: list[Event], all_of_them: list[Event]) -> str:
     """Compare the events with a skip to those without."""
-    if case.screen_off:
-        return "no touches, as asked"
-    found, others = _contacts(some), _contacts(all_of_them)
+    found, others = (
+        {(e.frame, contact.id): contact for e in events if isinstance(e, TouchEvent) for contact in e.contacts}
+        for events in (some, all_of_them)
+    )
     changes, their_changes = (
-        [(key, c.phase) for key, c in contacts.items() if c.phase in ("down", "up")] for contacts in (found, others)
+        [(key, contact.phase) for key, contact in contacts.items() if contact.phase in ("down", "up")]
+        for contacts in (found, others)
     )
     if changes != their_changes:
         return f"{len(changes)} contacts come or go, without it {len(their_changes)}"
@@ -122,8 +109,3 @@ def _compared(case: _Case, some: list[Event], all_of_them: list[Event]) -> str:
         return "the same: no touches"
     most = max(math.dist((a.x_mm, a.y_mm), (b.x_mm, b.y_mm)) / b.sigma_mm for a, b in common)
     return "the same" if most == 0 else f"the same contacts, places within {most:.1f} sigma"
-
-
-def _contacts(events: list[Event]) -> dict[tuple[int, int], Contact]:
-    """Return every published contact by frame and id."""
-    return {(e.frame, contact.id): contact for e in events if isinstance(e, TouchEvent) for contact in e.contacts}

@@ -16,8 +16,8 @@ import sys
 import threading
 import time
 from array import array
-from collections.abc import Callable, Iterator
-from itertools import chain, cycle
+from collections.abc import Callable, Iterable, Iterator
+from itertools import cycle
 from pathlib import Path
 from statistics import median
 from types import FrameType
@@ -54,13 +54,8 @@ class Device:
 
     def __init__(self, frames: np.ndarray, lead: int, full_hz: int = 0) -> None:
         channels, samples = frames.shape[1:]
-        try:
-            self.info = Info(channels, samples, 250_000, capabilities=1)
-        except TypeError:  # a tree of before
-            self.info = Info(channels, samples, 250_000)
-        bodies: list[bytes] = [frame.T.astype("<i2").tobytes() for frame in frames]
-        self._lead, self._there, self._full_hz = bodies[:lead], bodies[lead:], full_hz
-        self._bodies: Iterator[bytes] = chain(self._lead, cycle([*self._there, *self._there[-2:0:-1]]))
+        self.info = Info(channels, samples, 250_000, capabilities=1)
+        self._bodies = self._play([frame.T.astype("<i2").tobytes() for frame in frames], lead, full_hz)
         self._rate_hz, self._chirp_ns, self._sequence = 0, 0, 0
         self.own_cpu_s = 0.0
         self.due_ns: list[int] = []
@@ -81,7 +76,7 @@ class Device:
             self.go.wait()
             self._first_ns = self._chirp_ns = time.monotonic_ns()
         header = Header(self._sequence, self._chirp_ns // 1000)
-        transfer = build_frame(self.info, header, self._body())
+        transfer = build_frame(self.info, header, next(self._bodies))
         buffer[: len(transfer)] = array("B", transfer)
         due_ns = self._chirp_ns + 1_000_000
         self.due_ns.append(due_ns)
@@ -92,12 +87,14 @@ class Device:
             time.sleep(left_ns * 1e-9)
         return len(transfer)
 
-    def _body(self) -> bytes:
-        if not self._full_hz or self._sequence < len(self._lead):
-            return next(self._bodies)
-        # Rounded down: to the nearest, half a frame off, every other one would come twice, as from a device that hangs.
-        at = (self._chirp_ns - self._first_ns) * self._full_hz // 1_000_000_000 - len(self._lead)
-        return self._there[at % len(self._there)]
+    def _play(self, bodies: list[bytes], lead: int, full_hz: int) -> Iterator[bytes]:
+        yield from bodies[:lead]
+        there = bodies[lead:]
+        if not full_hz:
+            yield from cycle([*there, *there[-2:0:-1]])
+        while True:
+            # Rounded down: to the nearest, half a frame off, every other one would come twice, as from a hung device.
+            yield there[((self._chirp_ns - self._first_ns) * full_hz // 1_000_000_000 - lead) % len(there)]
 
     def clear_halt(self) -> None:
         """Nothing is halted, nor to be reset."""
@@ -215,6 +212,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     if task["subscriber"]:
         bus.wait_for_subscriber(20.0)
     begin: dict[str, Any] = {}
+    ended: dict[str, Any] = {}
 
     def sample() -> dict[str, Any]:
         usage = resource.getrusage(resource.RUSAGE_SELF)
@@ -224,7 +222,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
             "energy_uj": energy_uj(),
         }  # fmt: skip
 
-    perf: list[subprocess.Popen[str]] = []
+    counting: list[subprocess.Popen[str]] = []
     clock, keep, steps = time.monotonic, preroll.keep, calls_of_frames()
     counted: dict[str, float] = {}
     since_s = clock()
@@ -235,7 +233,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
         now_s = clock()
         if not begin and now_s - since_s >= task["warm_s"]:
             if task["events"]:
-                perf.append(counting(task["events"]))
+                counting.append(perf(task["events"], "-p", str(os.getpid())))
             begin.update(sample())
         elif begin and now_s - begin["wall_s"] >= task["seconds"]:
             ended.update({} if ended else sample())
@@ -244,25 +242,17 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
                 service.stop()
 
     preroll.keep = watched  # type: ignore[method-assign]
-    ended: dict[str, Any] = {}
-    leave = service._release  # called first at the end, before threads and sockets are closed
-
-    def left(now_ns: int) -> None:
-        ended.update({} if ended else sample())
-        leave(now_ns)
-
-    service._release = left  # type: ignore[method-assign]
     service.run()
     found = _result(begin, ended, preroll.done, device.due_ns)
-    for process in perf:
+    for process in counting:
         process.send_signal(signal.SIGINT)
         found["events"] = process.communicate()[1]
     return found | counted
 
 
-def counting(events: list[str]) -> subprocess.Popen[str]:
-    """Let perf count events in all threads of this process until it is interrupted."""
-    asked = ["perf", "stat", "-x", ",", *(part for event in events for part in ("-e", event)), "-p", str(os.getpid())]
+def perf(events: Iterable[str], *what: str) -> subprocess.Popen[str]:
+    """Let perf count events of a command, or in all threads of a process until it is interrupted."""
+    asked = ["perf", "stat", "-x", ",", *(part for event in events for part in ("-e", event)), *what]
     return subprocess.Popen(asked, stderr=subprocess.PIPE, text=True)  # noqa: S603 - as written
 
 

@@ -28,6 +28,11 @@ class Spread(NamedTuple):
     most: float
 
 
+def percentiles(times: Spread) -> dict[str, float]:
+    """Return the fields `p50_us` to `max_us` of a result."""
+    return dict(zip(("p50_us", "p99_us", "p999_us", "max_us"), times, strict=True))
+
+
 def spread(times_us: ArrayLike) -> Spread:
     """Return median, 99th and 99.9th percentile and maximum of times (n,)."""
     return Spread(*np.percentile(np.asarray(times_us, float), (50, 99, 99.9, 100)).tolist())
@@ -57,11 +62,11 @@ class Stopwatch:
     """Collects the times of calls, batch by batch."""
 
     def __init__(self) -> None:
-        self._batches_us: list[NDArray[np.float64]] = []
+        self.batches_us: list[NDArray[np.float64]] = []
 
     def add(self, times_ns: list[int]) -> None:
         """Add the times of one batch."""
-        self._batches_us.append(np.array(times_ns, float) * 1e-3)
+        self.batches_us.append(np.array(times_ns, float) * 1e-3)
 
     def time(self, call: Callable[[], object], count: int) -> None:
         """Time each call of a batch."""
@@ -75,19 +80,14 @@ class Stopwatch:
     @property
     def times_us(self) -> NDArray[np.float64]:
         """All times after the burn-in, shape (n,)."""
-        return np.concatenate(self._batches_us[BURN_IN:] or self._batches_us)
-
-    def medians_us(self) -> NDArray[np.float64]:
-        """Return the median of each batch, burn-in included; two stopwatches pair their batches in order."""
-        return np.array([np.median(batch) for batch in self._batches_us])
+        return np.concatenate(self.batches_us[BURN_IN:] or self.batches_us)
 
 
 def ratio(one: Stopwatch, other: Stopwatch) -> float:
     """Return the median ratio of times over batches that took turns."""
-    a, b = one.medians_us(), other.medians_us()
-    count = min(len(a), len(b))
-    skipped = BURN_IN if count > BURN_IN else 0
-    return float(np.median(a[skipped:count] / b[skipped:count]))
+    pairs = zip(one.batches_us, other.batches_us, strict=True)
+    ratios = [float(np.median(mine) / np.median(its)) for mine, its in pairs]
+    return float(np.median(ratios[BURN_IN:] or ratios))
 
 
 @contextmanager

@@ -18,22 +18,19 @@ Floats = NDArray[np.float64]
 
 ORDERS, DEGREES = 4, 3
 """Waves around the disc, 0 .. ORDERS, and polynomials along the radius, inside and outside each."""
+COUNT = (2 * ORDERS + 1) * (2 * DEGREES + 1)
+"""Functions of a disc, L."""
 _RINGS, _ANGLES = 12, 32
 
 
 @dataclass(frozen=True)
 class DiscFunctions:
-    """Continuous functions of the place that vanish beyond `reach_m`, with a kink at the rim: L of them."""
+    """Continuous functions of the place that vanish beyond `reach_m`, with a kink at the rim: `COUNT` of them, L."""
 
     x_m: float
     y_m: float
     radius_m: float
     reach_m: float
-
-    @staticmethod
-    def count() -> int:
-        """Return the number of functions, L."""
-        return (2 * ORDERS + 1) * (2 * DEGREES + 1)
 
     def rule(self) -> tuple[Floats, Floats, Floats]:
         """Return points and areas that integrate products of the functions, m and m^2, each of shape (Q,)."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.frame import Plate
-from touchd.lab.plates.disc_functions import DiscFunctions
+from touchd.lab.plates.disc_functions import COUNT, DiscFunctions
 from touchd.twin.cache import remember
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import material_of, stiffness_of
@@ -131,30 +131,16 @@ def _inverse_root(mass: Floats) -> Floats:
     return np.asarray(vectors[:, some] / np.sqrt(values[some]) / scale[:, None])
 
 
-class _Values(NamedTuple):
-    """Fields of basis functions at points, times the root of each point's area; each (n, Q)."""
-
-    rows: NDArray[np.intp]
-    """Which of the basis functions."""
-    w: Floats
-    psi_x: Floats
-    psi_y: Floats
-    bend_x: Floats
-    bend_y: Floats
-    twist: Floats
-    shear_x: Floats
-    shear_y: Floats
-
-
-def _add(mass: Floats, stiff: Floats, at: _Values, patch: Patch, nu: float) -> None:
-    """Add a patch's energies."""
-    which = np.ix_(at.rows, at.rows)
+def _add(mass: Floats, stiff: Floats, at: tuple[NDArray[np.intp], Floats], patch: Patch, nu: float) -> None:
+    """Add a patch's energies; `at` is `_Basis.at` of its points."""
+    rows, (w, psi_x, psi_y) = at
+    which = np.ix_(rows, rows)
     for total, factor, fields in (
-        (mass, patch.mass_kg_m2, [at.w]),
-        (mass, patch.rotary_kg, [at.psi_x, at.psi_y]),
-        (stiff, patch.bending_n_m * (1 + nu) / 2, [at.bend_x + at.bend_y]),
-        (stiff, patch.bending_n_m * (1 - nu) / 2, [at.bend_x - at.bend_y, at.twist]),
-        (stiff, patch.shear_n_m, [at.shear_x, at.shear_y]),
+        (mass, patch.mass_kg_m2, [w[0]]),
+        (mass, patch.rotary_kg, [psi_x[0], psi_y[0]]),
+        (stiff, patch.bending_n_m * (1 + nu) / 2, [psi_x[1] + psi_y[2]]),
+        (stiff, patch.bending_n_m * (1 - nu) / 2, [psi_x[1] - psi_y[2], psi_x[2] + psi_y[1]]),
+        (stiff, patch.shear_n_m, [w[1] + psi_x[0], w[2] + psi_y[0]]),
     ):
         if factor:
             for field in fields:
@@ -168,12 +154,16 @@ class _Basis:
         self._modes, self._size = modes, size_m(plate)
         self.discs = discs
         n = len(modes.omega_rad_s)
-        each = 3 * DiscFunctions.count()
+        each = 3 * COUNT
         self._rows = [np.arange(n + each * k, n + each * (k + 1)) for k in range(len(discs))]
         self.count = n + each * len(discs)
 
-    def at(self, x_m: Floats, y_m: Floats, area_m2: Floats, disc: int | None = None) -> _Values:
-        """Return the fields at points (Q,), of the functions around one disc or around all."""
+    def at(self, x_m: Floats, y_m: Floats, area_m2: Floats, disc: int | None = None) -> tuple[NDArray[np.intp], Floats]:
+        """Return the fields of n functions at points (Q,): of the modes, and of those around one disc or all.
+
+        In order: the functions' numbers, (n,); and deflection and both rotations, each as value and slopes along x and
+        y, times the root of each point's area, shape (3, 3, n, Q).
+        """
         modes, some = self._modes, range(len(self.discs)) if disc is None else [disc]
         counts = modes.w.shape[1:]
         px, py = (legendre.values(at, side, n) for at, side, n in zip((x_m, y_m), self._size, counts, strict=True))
@@ -184,27 +174,23 @@ class _Basis:
             pairs = (half_x, px), (half_x, dx), (half_y, px)
             return [(half.transpose(0, 2, 1) * along).sum(axis=2) for half, along in pairs]
 
-        parts = [[of_modes(field) for field in modes[1:]]]
+        parts = [np.array([of_modes(field) for field in modes[1:]])]
         for k in some:
-            values = self.discs[k].at(x_m, y_m)
-            none = np.zeros_like(values[0])
-            # Value and both slopes of w, psi_x and psi_y; each function is one of the three.
-            parts.append([[np.concatenate([v if i == kind else none for i in range(3)]) for v in values]
-                          for kind in range(3)])  # fmt: skip
-        root = np.sqrt(area_m2)
-        w, psi_x, psi_y = (
-            [np.concatenate([part[kind][i] for part in parts]) * root for i in range(3)] for kind in range(3)
-        )
+            around = np.zeros((3, 3, 3, COUNT, len(x_m)))
+            for kind in range(3):  # each function is one of the three fields
+                around[kind, :, kind] = self.discs[k].at(x_m, y_m)
+            parts.append(around.reshape(3, 3, -1, len(x_m)))
         rows = np.concatenate([np.arange(len(modes.omega_rad_s)), *(self._rows[k] for k in some)])
-        return _Values(rows, w[0], psi_x[0], psi_y[0], psi_x[1], psi_y[2], psi_x[2] + psi_y[1],
-                       w[1] + psi_x[0], w[2] + psi_y[0])  # fmt: skip
+        return rows, np.concatenate(parts, axis=2) * np.sqrt(area_m2)
 
     def outward(self, centre_m: Floats, radius_m: float) -> Floats:
         """Return each function's mean outward rotation around a circle, shape (n,)."""
         angle = 2 * np.pi * np.arange(32) / 32
         normal = np.cos(angle), np.sin(angle)
-        at = self.at(centre_m[0] + radius_m * normal[0], centre_m[1] + radius_m * normal[1], np.ones(32))
-        return np.asarray((at.psi_x * normal[0] + at.psi_y * normal[1]).mean(axis=1))
+        _, (_, psi_x, psi_y) = self.at(
+            centre_m[0] + radius_m * normal[0], centre_m[1] + radius_m * normal[1], np.ones(32)
+        )
+        return np.asarray((psi_x[0] * normal[0] + psi_y[0] * normal[1]).mean(axis=1))
 
     def deflection(self, V: Floats) -> Floats:
         """Return the deflection of modes (m, n) in Legendre products, shape (m, nx, ny)."""

@@ -17,7 +17,6 @@ from touchd.calibration.calibrate import Fitted, fit_recording, make_model
 from touchd.calibration.place_correction import widths_of
 from touchd.calibration.taps import Taps, refine, taps_of
 from touchd.errors import TouchdError
-from touchd.evaluation.matching import Seen
 from touchd.evaluation.single_frames import TouchedFrames, find_with, see, touched_frames
 from touchd.lab.plates.cases import CASES, Made, make
 from touchd.localization.atlas import Atlas
@@ -39,13 +38,6 @@ def calibrate(made: Made, seed: int = 0) -> Fitted:
     return fit_recording(recording, made.said)
 
 
-def touches_on(made: Made, finger: str, touches: int, seed: int) -> TouchedFrames:
-    """Simulate single touches all over the plate."""
-    return touched_frames(simulate_touches(
-        touches, seed=seed + 1, instrument=made.instrument, electronics=made.electronics, finger=finger,
-    ))  # fmt: skip
-
-
 def scores(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> dict[str, float]:
     """Place touches with the daemon's localizer.
 
@@ -53,24 +45,21 @@ def scores(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> dict[str
     """
     seen = see(find_with(model, atlas, frames), frames)
     true = np.array([each.true_mm[0] for each in seen])
-    found = np.array([_nearest(each) for each in seen])
+    found = np.full(true.shape, np.inf)
+    for i, (x, y) in enumerate(true):
+        near = min(seen[i].found, key=lambda t: np.hypot(t.x_mm - x, t.y_mm - y), default=None)
+        if near:
+            found[i] = near.x_mm, near.y_mm
     error_mm = np.hypot(*(found - true).T)
-    near = error_mm < 1
-    scale = float((found[near] * true[near]).sum() / (true[near] ** 2).sum())
+    near_by = error_mm < 1
+    scale = float((found[near_by] * true[near_by]).sum() / (true[near_by] ** 2).sum())
     less_mm = np.hypot(*(found / scale - true).T)
     return {
         "median": float(np.median(error_mm)), "p95": float(np.quantile(error_mm, 0.95, method="higher")),
-        "within_1": float(np.mean(near)), "count_right": float(np.mean([len(each.found) == 1 for each in seen])),
+        "within_1": float(np.mean(near_by)), "count_right": float(np.mean([len(each.found) == 1 for each in seen])),
         "less_scale": float(np.median(less_mm)),
         "less_scale_p95": float(np.quantile(less_mm, 0.95, method="higher")),
     }  # fmt: skip
-
-
-def _nearest(seen: Seen) -> tuple[float, float]:
-    """Return the touch found nearest the true one; infinity where none is."""
-    x, y = seen.true_mm[0]
-    near = min(seen.found, key=lambda t: np.hypot(t.x_mm - x, t.y_mm - y), default=None)
-    return (near.x_mm, near.y_mm) if near else (np.inf, np.inf)
 
 
 def tapped(
@@ -126,7 +115,12 @@ def row(
         with tempfile.TemporaryDirectory() as folder:
             model = make_model(fitted, Path(folder) / "plate.onnx").model
         result["model_s"] = time.process_time() - started_s
-        frames = {finger: touches_on(made, finger, touches, seed) for finger in fingers}
+        frames = {
+            finger: touched_frames(simulate_touches(
+                touches, seed=seed + 1, instrument=made.instrument, electronics=made.electronics, finger=finger
+            ))
+            for finger in fingers
+        }  # fmt: skip
         result |= {finger: scores(model, model.atlas, each) for finger, each in frames.items()}
         if labels_mm:
             result["after_taps"] = tapped(made, fitted, model, frames, labels_mm, seed, sets)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.plots.model import draw_confusion
 from touchd.evaluation.plots.session import COLOURS, TRUTH, save
-from touchd.lab.reproduction import paper, plan
+from touchd.lab.reproduction import paper, run
 from touchd.lab.reproduction.experiments import keypad_scores, loaded
 from touchd.lab.reproduction.run import CIRCLE_HEADS, Results
 
@@ -43,18 +43,18 @@ def _heads(results: Results) -> Figure:
     )
     for number, (title, found, side_mm) in enumerate(areas):
         axes = figure.add_subplot(1, 2, number + 1)
-        for domain in plan.DOMAINS:
+        for domain in run.DOMAINS:
             colour, marker = DOMAIN_STYLE[domain]
-            mean = {head: found[plan.head_name(head, domain)].judged.distance_mm.mean() for head in plan.HEADS}
-            grids = [mean[f"C-{n}"] for n in plan.GRIDS]
-            axes.plot(plan.GRIDS, grids, color=colour, marker=marker, ms=5, lw=1.5, label=f"C-N, {domain}")
+            mean = {head: found[run.head_name(head, domain)].judged.distance_mm.mean() for head in run.HEADS}
+            grids = [mean[f"C-{n}"] for n in run.GRIDS]
+            axes.plot(run.GRIDS, grids, color=colour, marker=marker, ms=5, lw=1.5, label=f"C-N, {domain}")
             axes.axhline(mean["R"], color=colour, ls=":", lw=1.8, label=f"R, {domain}")
-        perfect = [paper.perfect_mean_mm(side_mm, n) for n in plan.GRIDS]
-        axes.plot(plan.GRIDS, perfect, color=TRUTH, lw=5, zorder=0, label="no zone mistaken")
+        perfect = [paper.perfect_mean_mm(side_mm, n) for n in run.GRIDS]
+        axes.plot(run.GRIDS, perfect, color=TRUTH, lw=5, zorder=0, label="no zone mistaken")
         for n in (2, 10):
             reported = paper.HEADS[f"C-{n}", "frequency"].mean_mm
             axes.plot(n, reported, "*", color=PAPER, ms=11, label="the paper's C-2, C-10" if n == 2 else None)
-        axes.set(xlabel="N", xticks=plan.GRIDS, title=title, ylim=(0, None))
+        axes.set(xlabel="N", xticks=run.GRIDS, title=title, ylim=(0, None))
         axes.grid(alpha=0.25)
         if number == 0:
             axes.set_ylabel("mean error (mm)")
@@ -63,26 +63,26 @@ def _heads(results: Results) -> Figure:
 
 
 def _keypad(results: Results) -> Figure:
-    trial = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])]
+    trial = results.full[run.keypad_name(1.0, run.KEYPAD_SEEDS[0])]
     return draw_confusion(trial.judged, loaded(trial.model).description)
 
 
 def _learning(results: Results) -> Figure:
     figure = Figure(figsize=(6.2, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    shares = np.array(plan.SHARES)
+    shares = np.array(run.SHARES)
 
     def accuracy_of(judged: Judgement) -> float:
         return keypad_scores(judged, results.layout)["accuracy"]
 
     contenders = (
-        ("network", plan.keypad_name, COLOURS[0], "o"),
-        ("kNN (k = 1)", plan.lookup_name, COLOURS[1], "s"),
+        ("network", run.keypad_name, COLOURS[0], "o"),
+        ("kNN (k = 1)", run.lookup_name, COLOURS[1], "s"),
     )
     for number, (label, name, colour, marker) in enumerate(contenders):
         accuracy = 100 * np.array([
-            [accuracy_of(results.full[name(share, seed)].judged) for seed in plan.KEYPAD_SEEDS]
-            for share in plan.SHARES
+            [accuracy_of(results.full[name(share, seed)].judged) for seed in run.KEYPAD_SEEDS]
+            for share in run.SHARES
         ])  # fmt: skip
         mean, spread = accuracy.mean(axis=1), accuracy.std(axis=1)
         axes.errorbar(100 * shares, mean, spread, color=colour, marker=marker, ms=5, capsize=3, label=label)
@@ -90,7 +90,7 @@ def _learning(results: Results) -> Figure:
         where = [100 * share for share in paper.KEYPAD_LEARNING]
         axes.plot(where, reported, "*", color=colour, mec="black", ms=12, label=f"the paper's {label.split()[0]}")
     if not results.given:
-        better = accuracy_of(results.full[plan.BETTER_KEYPAD].judged)
+        better = accuracy_of(results.full[run.BETTER_KEYPAD].judged)
         axes.plot(20, 100 * better, "D", color=COLOURS[2], ms=8, label="touchd's keypad")
     axes.set(xlabel="share of the training touches (%)", ylabel="accuracy of the keypad (%)", xticks=100 * shares)
     axes.grid(alpha=0.25)
@@ -120,9 +120,9 @@ def _errors(results: Results) -> Figure:
     models = figure.add_subplot(1, 2, 1)
     contenders = {name: results.held_out[name, "silicone"] for name in ("regression", "int8", "small")}
     contenders |= {
-        "kNN on residuals": results.full[plan.dictionary_name("kNN", True)].judged,
-        "GCC on residuals": results.full[plan.dictionary_name("GCC", True)].judged,
-        "the paper's R on the twin": results.full[plan.head_name("R", "frequency")].judged,
+        "kNN on residuals": results.full[run.dictionary_name("kNN", True)].judged,
+        "GCC on residuals": results.full[run.dictionary_name("GCC", True)].judged,
+        "the paper's R on the twin": results.full[run.head_name("R", "frequency")].judged,
     }
     for number, (name, judged) in enumerate(contenders.items()):
         models.ecdf(judged.distance_mm, color=COLOURS[number], lw=1.6, label=name)

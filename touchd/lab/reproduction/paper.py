@@ -33,13 +33,6 @@ KNN_SLOWER = 11.67
 CENTRAL_MM = 110.0
 """Side of the central square that the paper's figures for C-N imply."""
 
-INCONSISTENCIES = (
-    "Its confusion matrix gives 595 of 627, 94.9 %; the text says 97 %.",
-    "A classifier without errors has a mean error of 38.3 mm for N = 2 and 7.65 mm for N = 10 on 20 x 20 cm; the "
-    "paper's 21.8 and 4.1 mm mean touches within about 11 x 11 cm, or another metric.",
-    'The row "class area" of its table is ten times too small.',
-)
-
 
 def perfect_mean_mm(side_mm: float, n: int) -> float:
     """Return the mean distance of a point to the centre of its zone, on an n x n grid over a square.

@@ -1,4 +1,4 @@
-"""Run the experiments and collect their results for the report."""
+"""Run the experiments as jobs, and collect their results for the report."""
 
 from __future__ import annotations
 
@@ -7,17 +7,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from touchd.errors import ModelMissing
 from touchd.evaluation.dataset import digest as dataset_digest
 from touchd.evaluation.model_scores import Judgement
 from touchd.jobs import Job, Shared, digest, run
 from touchd.keypad import Layout
-from touchd.lab.reproduction import plan
-from touchd.lab.reproduction.experiments import Trial, judged, raced
+from touchd.lab.benchmark.estimators import shipped
+from touchd.lab.reproduction.experiments import Trial, judged, looked_up, raced, trained
 from touchd.lab.reproduction.paper import CENTRAL_MM
 from touchd.lab.reproduction.sets import central, simulated
 from touchd.localization.model import default_model_path
 from touchd.recording.data import Recording
+
+DOMAINS = ("frequency", "time")
+GRIDS = tuple(range(2, 11))
+HEADS = ("R", *(f"C-{n}" for n in GRIDS))
+SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+KEYPAD_RECIPE, PLATE_RECIPE = "keypad", "best"
+"""Recipes compared with the paper's."""
+KEYPAD_SEEDS = (0, 1, 2)
+"""Seeds of the repeated keypad trainings and splits, because the differences there are small."""
+BETTER_KEYPAD = f"keypad, {SHARES[-1]:.0%} of the touches"
+OTHER_PLATE = "best, another plate"
 
 SHIPPED = ("regression", "small", "int8", "grid10", "keypad")
 HELD_OUT = {"silicone": 201, "human": 202, "noise": 203, "stale": 204}
@@ -58,6 +68,60 @@ class Results:
     took_us: dict[str, float] = field(default_factory=dict)
 
 
+def head_name(head: str, domain: str) -> str:
+    """Return the name of a head's job."""
+    return f"{head}, {domain}"
+
+
+def keypad_name(share: float, seed: int) -> str:
+    """Return the name of a keypad training."""
+    return f"paper-keypad, {share:.0%}, seed {seed}"
+
+
+def lookup_name(share: float, seed: int) -> str:
+    """Return the name of a kNN look-up on a share of the touches."""
+    return f"kNN, {share:.0%}, seed {seed}"
+
+
+def dictionary_name(method: str, residual: bool) -> str:
+    """Return the name of a look-up among all touches."""
+    return f"{method} on {'residuals' if residual else 'spectra'}"
+
+
+def head_jobs(seed: int, epochs: int | None) -> list[Job]:
+    """Return the trainings of the paper's regression and grid networks, in both domains."""
+    jobs = []
+    for domain in DOMAINS:
+        prefix = "paper" if domain == "frequency" else "time"
+        for head in HEADS:
+            grid = int(head[2:]) if head != "R" else 0
+            recipe = f"{prefix}-grid" if grid else f"{prefix}-regression"
+            arguments = {"recipe": recipe, "grid": grid, "seed": seed, "epochs": epochs}
+            jobs.append(Job(head_name(head, domain), trained, arguments, ("recording",)))
+    return jobs
+
+
+def keypad_jobs(seed: int, epochs: int | None, layout: Layout) -> list[Job]:
+    """Return the trainings of the keypad, ours on the smallest share, and the look-ups in dictionaries."""
+    jobs = []
+
+    def train(name: str, **arguments: Any) -> None:
+        jobs.append(Job(name, trained, {"layout": layout, "epochs": epochs, **arguments}, ("recording",)))
+
+    def look_up(name: str, **arguments: Any) -> None:
+        jobs.append(Job(name, looked_up, arguments, ("recording",)))
+
+    for share in SHARES:
+        for more in KEYPAD_SEEDS:
+            train(keypad_name(share, more), recipe="paper-keypad", seed=seed + more, share=share)
+            look_up(lookup_name(share, more), method="kNN", residual=False, seed=seed + more, share=share)
+    train(BETTER_KEYPAD, recipe=KEYPAD_RECIPE, seed=seed, share=SHARES[-1])
+    for method in ("kNN", "GCC"):
+        for residual in (False, True):
+            look_up(dictionary_name(method, residual), method=method, residual=residual, seed=seed)
+    return jobs
+
+
 def reproduce(
     recording: Recording | None,
     layout: Layout,
@@ -72,44 +136,42 @@ def reproduce(
 
     With a user's recording, experiments that need the twin are omitted.
     """
-    given = recording is not None
     progress("simulating", 0, 1)
-    touches = recording if recording is not None else simulated("silicone", scale.touches, TRAINING_SEED)
-    middle = touches if recording is not None else simulated("central", scale.touches, CENTRAL_SEED)
-    results = Results(scale, layout, touches, given)
+    touches = middle = recording
+    if touches is None or middle is None:
+        touches = simulated("silicone", scale.touches, TRAINING_SEED)
+        middle = simulated("central", scale.touches, CENTRAL_SEED)
+    results = Results(scale, layout, touches, recording is not None)
 
     def batch(jobs: list[Job], recording: Recording) -> dict[str, Trial]:
         # Identify a recording by its content, not by its time.
         identity = digest([dataset_digest(recording), recording.meta.plate, recording.acquisition])
         return run(jobs, shared={"recording": Shared(recording, identity)}, progress=progress, **how)
 
-    jobs = plan.head_jobs(seed, scale.epochs) + plan.keypad_jobs(seed, scale.epochs, layout)
-    results.full = batch(jobs + plan.better_jobs(seed, scale.epochs, layout), touches)
-    results.central = batch(plan.head_jobs(seed, scale.epochs), central(middle, CENTRAL_MM))
-    paper_keypad = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])].model
+    heads = head_jobs(seed, scale.epochs)
+    results.full = batch(heads + keypad_jobs(seed, scale.epochs, layout), touches)
+    results.central = batch(heads, central(middle, CENTRAL_MM))
     progress("timing", 0, 1)
-    results.took_us = raced(touches, paper_keypad, plan.SHARES, seed)
-    if given:
+    results.took_us = raced(touches, results.full[keypad_name(1.0, KEYPAD_SEEDS[0])].model, SHARES, seed)
+    if results.given:
         return results
-    results.other = batch(plan.plate_jobs(seed, scale.epochs), simulated("other", scale.other_touches, OTHER_SEED))
+    arguments = {"recipe": PLATE_RECIPE, "epochs": scale.epochs, "seed": seed}
+    other = simulated("other", scale.other_touches, OTHER_SEED)
+    results.other = batch([Job(OTHER_PLATE, trained, arguments, ("recording",))], other)
     _judge(results, models or default_model_path().parent, progress)
     return results
 
 
 def _judge(results: Results, models: Path, progress: Progress) -> None:
     """Score the shipped models and some of the trained ones on touches with seeds unseen in training."""
-    paths = {name: (models / f"{name}.onnx") for name in SHIPPED}
-    for path in paths.values():
-        if not path.is_file():
-            raise ModelMissing("no such model", str(path), "train it, or name the folder of the models: --models")
-    shipped = {name: path.read_bytes() for name, path in paths.items()}
-    shipped[plan.BETTER_KEYPAD] = results.full[plan.BETTER_KEYPAD].model
-    other = {plan.OTHER_PLATE: results.other[plan.OTHER_PLATE].model}
-    drawn = {head: results.full[plan.head_name(head, "frequency")].model for head in CIRCLE_HEADS}
-    drawn["touchd"] = shipped["regression"]
+    ours = {name: shipped(models, name).read_bytes() for name in SHIPPED}
+    ours[BETTER_KEYPAD] = results.full[BETTER_KEYPAD].model
+    other = {OTHER_PLATE: results.other[OTHER_PLATE].model}
+    drawn = {head: results.full[head_name(head, "frequency")].model for head in CIRCLE_HEADS}
+    drawn["touchd"] = ours["regression"]
     count = results.scale.held_out
     sets = [
-        *((kind, count, seed, shipped) for kind, seed in HELD_OUT.items()),
+        *((kind, count, seed, ours) for kind, seed in HELD_OUT.items()),
         ("other", count, OTHER_HELD_OUT_SEED, other),
         ("circle", results.scale.circle_frames, CIRCLE_SEED, drawn),
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,14 @@ from touchd.twin.instrument import Instrument
 from touchd.twin.physics.transducer import Layout as Transducers
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
 
-NOISY_DB = 40.0
-"""Signal-to-noise ratio, 20 dB below the reference."""
-STALE_K = 1.0
+KINDS: dict[str, dict[str, Any]] = {
+    "silicone": {},
+    "human": {"finger": "human"},
+    "central": {"margin_mm": (DEFAULT_PLATE.width_mm - CENTRAL_MM) / 2},
+    "noise": {"electronics": Electronics(noise_db=40.0)},
+    "stale": {"stale_k": 1.0},
+}
+"""Options of `simulate_touches` by kind: noise is 20 dB stronger than the reference, a stale baseline 1 K too cold."""
 OTHER_PLATE = Plate(width_mm=170, height_mm=240, thickness_mm=4, material="glass")
 OTHER_TRANSDUCERS = Transducers(
     emitter_mm=(90.0, 18.0), receivers_mm=((14.0, 60.0), (152.0, 40.0), (25.0, 222.0), (158.0, 205.0))
@@ -27,28 +33,12 @@ OTHER_TRANSDUCERS = Transducers(
 
 
 def simulated(kind: str, count: int, seed: int) -> Recording:
-    """Simulate touches of a kind, or a scene.
-
-    ============  ==============================================================
-    `silicone`    silicone finger on the reference plate
-    `human`       human finger on the reference plate
-    `central`     silicone finger on the central 11 x 11 cm
-    `noise`       noise 20 dB stronger
-    `stale`       plate 1 K warmer than its baseline
-    `other`       another plate
-    `circle`      a human finger draws a circle
-    ============  ==============================================================
-    """
+    """Simulate touches of one of `KINDS`, or of the `other` plate; or the `circle` that a human finger draws."""
     if kind == "circle":
         return simulate_scene("circle", seed=seed, finger="human", frames=count)
     if kind == "other":
         return simulate_touches(count, seed=seed, instrument=Instrument(OTHER_PLATE, layout=OTHER_TRANSDUCERS))
-    if kind == "central":
-        return simulate_touches(count, seed=seed, margin_mm=(DEFAULT_PLATE.width_mm - CENTRAL_MM) / 2)
-    finger = "human" if kind == "human" else "silicone"
-    electronics = Electronics(noise_db=NOISY_DB) if kind == "noise" else None
-    stale_k = STALE_K if kind == "stale" else 0.0
-    return simulate_touches(count, seed=seed, finger=finger, electronics=electronics, stale_k=stale_k)
+    return simulate_touches(count, seed=seed, **KINDS[kind])
 
 
 def check_touches(recording: Recording, where: str) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from touchd.lab.benchmark.machine import Machine
-from touchd.lab.benchmark.results import BareTimes, DaemonResult, EstimatorResult, Run, SkipResult, Touches
+from touchd.lab.benchmark.results import BareTimes, DaemonResult, EstimatorResult, Machine, Run, SkipResult, Touches
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE
 

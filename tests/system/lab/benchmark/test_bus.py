@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from touchd.lab.benchmark.latency import measure_bus
+from touchd.lab.benchmark.daemon import measure_bus
 
 
 def test_the_bare_bus_passes_every_message_on_later_than_it_was_sent(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from touchd.frame import Acquisition, Plate
-from touchd.lab.benchmark.bare import BareNetwork, write_bare
 from touchd.lab.benchmark.estimators import cost_of, network
+from touchd.lab.benchmark.loop import BareNetwork, write_bare
 from touchd.lab.benchmark.scenes import Block
 from touchd.localization.features import Domain
 from touchd.localization.model import Description, Model, default_model_path

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.lab.benchmark.estimators import Estimator, Place
-from touchd.lab.benchmark.race import race
+from touchd.lab.benchmark.estimators import Estimator, Place, race
 from touchd.lab.benchmark.scenes import BLOCK, Array, Block
 from touchd.twin.physics.finger import Contact
 

@@ -14,9 +14,8 @@ from tests.system.lab.benchmark.conftest import cell, estimator
 from touchd.cli.benchmark import command
 from touchd.errors import ConfigError, OutputError
 from touchd.lab.benchmark import results, tables
-from touchd.lab.benchmark.machine import this_machine
 from touchd.lab.benchmark.page import PICTURES, VARIANTS, draw_errors, page
-from touchd.lab.benchmark.results import BareTimes, Otherwise, Run
+from touchd.lab.benchmark.results import BareTimes, Otherwise, Run, this_machine
 from touchd.lab.benchmark.tables import BUDGETS
 
 DOCS = Path(__file__).resolve().parents[4] / "docs"
