@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchd.calibration.reduced_plate import Floats
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch, RecordingValues
 from touchd.evaluation.dataset import complex_bins
@@ -27,8 +27,6 @@ from touchd.localization.spline import Position
 from touchd.pipeline import Pipeline
 from touchd.service.runner import frames_of
 from touchd.sources.replay import ReplaySource
-
-Floats = NDArray[np.float64]
 
 STEPS = 6
 DEAD = 0.01

@@ -10,17 +10,14 @@ vectors: `loads`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.calibration.loads import LEAST_RATIO, Discs, Edges, Lines, Loss, disc_vectors
-from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape
+from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, ReducedPlate, Shape
 from touchd.twin.physics.transducer import MEANS, OTHER_BENDING
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _PLACE_STEP_M = 1e-6
 ABSENT = 1e-9
@@ -103,14 +100,13 @@ class DiscResponse:
         found: dict[str, Complex] = {}
         D = len(self._discs.centres_m)
         for what, prefix in (("centres_m", ""), ("offset_m", "m")):
-            moves = {f"{prefix}{axis}{k}": (k, i) for k in range(D) for i, axis in enumerate("xy")}
-            found.update(self._by_place({name: moves[name] for name in moves if name in names}, what))
+            for i, axis in enumerate("xy"):
+                places = {f"{prefix}{axis}{k}": k for k in range(D)}
+                found |= self._by_place({name: places[name] for name in places if name in names}, what, i)
         if "radius" in names:
             d = self._discs
-            step = 1e-3 * d.radius_m
-            up, down = ((self._shape, d._replace(radius_m=d.radius_m + each)) for each in (step, -step))
-            change = self._difference(up, down, step)
-            found["radius"] = self._by_vectors(change) + d.radius_m / 2 * self._weighed(self._by_face)
+            across = self._across(lambda by: (self._shape, d._replace(radius_m=d.radius_m + by)), 1e-3 * d.radius_m)
+            found["radius"] = self._by_vectors(across) + d.radius_m / 2 * self._weighed(self._by_face)
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
         found |= {name: -self._weighed(load, MEANS * D) for name, load in self._per_edge.items() if name in names}
@@ -150,52 +146,39 @@ class DiscResponse:
         turns = [np.asarray(self._turn[:, :, d].T, np.complex128) for d in columns]
         return np.stack([self._H * _product(self._phi, turn) for turn in turns])
 
-    def _across(self, change: Floats) -> Complex:
-        """Return what vectors (n, k) find of the loaded plate's answer to each disc, shape (F, k, D)."""
+    def _across(self, moved: Callable[[float], tuple[Shape, Discs]], step: float) -> Complex:
+        """Return what the derivative of the discs' vectors finds of the answer to each disc, shape (F, MEANS D, D).
+
+        `moved` returns plate and discs changed by a number; they are moved by `step` both ways.
+        """
+        one, other = (
+            disc_vectors(self._plate, (shape.width, shape.height), discs) for shape, discs in map(moved, (step, -step))
+        )
+        change = self._plate.turned((one - other) / (2 * step), self._bare)
         return np.stack([_product(change.T, answer).T for answer in self._answers], axis=2)
 
-    def _difference(self, up: tuple[Shape, Discs], down: tuple[Shape, Discs], step: float) -> Floats:
-        """Return the derivative of the discs' vectors from two plates that differ by two steps."""
-        one, other = (disc_vectors(self._plate, (shape.width, shape.height), discs) for shape, discs in (up, down))
-        return self._plate.turned((one - other) / (2 * step), self._bare)
-
-    def _by_vectors(self, change: Floats) -> Complex:
-        """Return the derivative (R, F) by a change of all discs' vectors, shape (n, MEANS D)."""
-        D = len(self._discs.centres_m)
-        across = self._across(change)
-        total = across[:, 0, 1:] + across[:, 1:D, 0]
-        self._load_changed(total, across, range(MEANS * D))
-        return np.asarray(total.T)
-
-    def _load_changed(self, total: Complex, across: Complex, vectors: range) -> None:
-        """Subtract from `total` (F, R) what the loads of changed vectors take, which find `across` of the answers."""
-        for k in vectors:
+    def _by_vectors(self, across: Complex) -> Complex:
+        """Return the derivative (R, F) by a change of discs' vectors that find `across` of the answers."""
+        total = across[:, 0, 1:] + across[:, 1 : across.shape[2], 0]
+        for k in np.flatnonzero(across.any(axis=(0, 2))):
             load = self._load[:, k, None]
             e, r = self._G[:, k, 0, None], self._G[:, k, 1:]
             total -= load * (across[:, k, 0, None] * r + e * across[:, k, 1:])
+        return np.asarray(total.T)
 
-    def _by_place(self, wanted: dict[str, tuple[int, int]], what: str) -> dict[str, Complex]:
-        """Return the derivatives by the discs' centres, or their masses' offsets: only one disc's vectors change."""
+    def _by_place(self, wanted: dict[str, int], what: str, axis: int) -> dict[str, Complex]:
+        """Return the derivatives by the centres of the wanted discs, or by their masses' offsets, along an axis."""
         if not wanted:
             return {}
-        d, D = self._discs, len(self._discs.centres_m)
-        found: dict[str, Complex] = {}
-        for axis in {axis for _, axis in wanted.values()}:
-            step = np.zeros(2)
-            step[axis] = _PLACE_STEP_M
-            up, down = ((self._shape, d._replace(**{what: getattr(d, what) + sign * step})) for sign in (1, -1))
-            change = self._difference(up, down, _PLACE_STEP_M)
-            across = self._across(change)
-            for name, (k, along) in wanted.items():
-                if along != axis:
-                    continue
-                total = np.zeros((len(self._nu), D - 1), dtype=complex)
-                if k == 0:
-                    total += across[:, 0, 1:]
-                else:
-                    total[:, k - 1] += across[:, k, 0]
-                self._load_changed(total, across, range(k, MEANS * D, D))
-                found[name] = total.T
+        d, along = self._discs, np.eye(2)[axis]
+        across = self._across(
+            lambda by: (self._shape, d._replace(**{what: getattr(d, what) + by * along})), _PLACE_STEP_M
+        )
+        found = {}
+        for name, k in wanted.items():
+            own = np.zeros_like(across)  # the other discs' vectors stay
+            own[:, k :: across.shape[2]] = across[:, k :: across.shape[2]]
+            found[name] = self._by_vectors(own)
         return found
 
     def _by_plate(self, names: set[str]) -> dict[str, Complex]:
@@ -234,11 +217,13 @@ class DiscResponse:
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
             if name in ("width", "height"):
-                step = 1e-5 * value
-                up, down = ((self._shape._replace(**{name: value + each}), self._discs) for each in (step, -step))
-                total += self._by_vectors(self._difference(up, down, step))
+                total += self._by_vectors(self._across(self._resized(name), 1e-5 * value))
             found[name] = total
         return found
+
+    def _resized(self, name: str) -> Callable[[float], tuple[Shape, Discs]]:
+        value = getattr(self._shape, name)
+        return lambda by: (self._shape._replace(**{name: value + by}), self._discs)
 
 
 def _product(real: Floats, other: Complex) -> Complex:

@@ -15,16 +15,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchd.calibration.reduced_plate import ReducedPlate
+from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import Attachment, Support
 from touchd.twin.physics.transducer import vectors_at
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 LEAST_RATIO = 0.05
 """Of frequency over the band's middle: below it the loss stays as it is."""

@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 
 from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Loss, names_of
 from touchd.calibration.plate_file import PlateFile
-from touchd.calibration.reduced_plate import Shape, shape_of
+from touchd.calibration.reduced_plate import Floats, Shape, shape_of
 from touchd.frame import Acquisition, Chirp, Plate
 from touchd.twin.physics.material import ElasticPlate, Material, material_of, mindlin_wavenumber
 from touchd.twin.physics.transducer import Layout
-
-Floats = NDArray[np.float64]
 
 STIFFNESS_M3 = 1e-7
 """Unit of a disc's bending stiffness over the plate's Young's modulus: 6 mm of 2 mm PZT bonded to 5 mm glass have 2."""
@@ -158,9 +156,9 @@ class Reader:
         edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
         return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle), edges)
 
-    def chain(self, guess: Guess) -> dict[str, tuple[str, float]]:
+    def chain(self, p: Floats) -> dict[str, tuple[str, float]]:
         """Return, for each unknown, the name of the response's derivative and the factor to it."""
-        shape, discs = guess.shape, guess.discs
+        shape, discs, _, _ = self.read(p)
         found = {
             "speed": ("speed2", 2 * shape.speed2), "thickness": ("h", shape.h), "loss": ("loss", 1.0),
             "poisson": ("nu", 1.0), "width": ("width", 1e-3), "height": ("height", 1e-3), "slope": ("slope", 1.0),

@@ -14,10 +14,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.calibration.plate_fit import PlateFit, Progress
-from touchd.calibration.untouched_model import emission
+from touchd.calibration.reduced_plate import Complex, Floats
+from touchd.calibration.stages import emission
 from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
 from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
@@ -28,9 +28,6 @@ from touchd.training.field.place import FieldMap, place
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.record import Record
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 AREA_MM2 = 20.0
 """Contact area of the reference touch: a silicone finger of 5 mm. The amplitude absorbs most of the difference to

@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 
 from touchd.calibration.place_correction import Widths, correction_of, with_places
 from touchd.calibration.plate_fit import PlateFit
+from touchd.calibration.reduced_plate import Complex, Floats
 from touchd.errors import CalibrationError, TrainingError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
 from touchd.localization.atlas import Atlas
 from touchd.recording.data import Recording
 from touchd.training.field.place import place
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 ORIENTATIONS = ("", "mirrored left to right", "mirrored top to bottom", "turned by 180 degrees")
 CLEARER = 0.5

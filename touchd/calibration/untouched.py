@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.reduced_plate import Floats
 from touchd.errors import PlateMismatch, PlateTouched, PlateUnsteady, SignalClipped
 from touchd.frame import Acquisition
 from touchd.recording.data import Recording
-
-Floats = NDArray[np.float64]
 
 MOST_REPEATED = 0.5
 """Share of the frames that may equal the one before."""
