@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.audio.capture import PASSED, check_band
 from touchd.audio.card import Card, CardXrun, Floats, Samples
 from touchd.audio.delay import Doubtful, by_loopback
-from touchd.audio.response import PASSED, check_band
 
 PERIOD_S = 0.25
 """Of what is played: longer than any delay."""
@@ -105,22 +105,9 @@ def hear(card: Card, loop: Floats) -> Floats:
 def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progress: Progress = str) -> Checked:
     """Measure a card.
 
-    Parameters
-    ----------
-    restarts : int
-        How many starts tell how stable the delay is.
-    seconds : float
-        For which xruns are counted, and the sample rate is measured.
-    level_dbfs : float
-        Of the sweep.
-    progress : callable
-        Told what is measured next.
-
-    Raises
-    ------
-    Doubtful
-        No input hears the output, or samples are lost again and again.
-    CardGone
+    `restarts` starts tell how stable the delay is; in `seconds` xruns are counted, and the sample rate is measured.
+    `level_dbfs` is that of the sweep, and `progress` receives what is measured next. Raises Doubtful if no input hears
+    the output, or samples are lost again and again; CardGone.
     """
     period = round(PERIOD_S * card.rate_hz)
     progress("noise")

@@ -42,10 +42,7 @@ class Area:
     `rotate` says how far the picture is turned clockwise on the plate: at 90 its top is at the plate's right, at 180
     at the bottom, at 270 at the left.
 
-    Raises
-    ------
-    ConfigError
-        `input.screen_mm` is not set.
+    Raises ConfigError if `input.screen_mm` is not set.
     """
 
     def __init__(self, settings: InputSettings) -> None:

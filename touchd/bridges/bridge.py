@@ -52,10 +52,7 @@ def run(
     goes_on : callable
         Asked every 0.35 s or sooner, with the time, ns; False ends the bridge.
 
-    Raises
-    ------
-    BusError
-        The address cannot be used, or what comes is no message of touchd.
+    Raises BusError if the address cannot be used, or what comes is no message of touchd.
     """
     following = Following()
     events: Subscriber[Event]

@@ -79,10 +79,7 @@ def fit(touches: Sequence[Touched]) -> Mapping:
     A rotation of the picture permutes the shares and turns their sign; what is left is a straight line for each axis
     of the plate.
 
-    Raises
-    ------
-    BridgeError
-        Fewer than four touches, a screen that is mirrored, or touches that no rectangle explains.
+    Raises BridgeError of fewer than four touches, a mirrored screen, or touches that no rectangle explains.
     """
     if len(touches) < LEAST_TOUCHES:
         raise BridgeError(f"{len(touches)} touches, and a mapping takes {LEAST_TOUCHES}", "", "touch all crosses")

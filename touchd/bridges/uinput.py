@@ -71,10 +71,7 @@ class Device:
     axes : collection of Axis
         A touch screen has some.
 
-    Raises
-    ------
-    BridgeError
-        The kernel has no uinput, this user may not use it, or the device is there already.
+    Raises BridgeError if the kernel has no uinput, this user may not use it, or the device is there already.
     """
 
     def __init__(self, name: str, phys: str, keys: Collection[int], axes: Collection[Axis] = ()) -> None:

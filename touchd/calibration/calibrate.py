@@ -81,12 +81,7 @@ def make_model(
     Nothing is replaced before all files are complete and load; the old model is kept, see `install`. `taps`, labelled
     roughly, settle what the untouched plate cannot tell.
 
-    Raises
-    ------
-    CalibrationError
-        No tap fits the plate.
-    OutputError
-        A file cannot be written.
+    Raises CalibrationError if no tap fits the plate; OutputError if a file cannot be written.
     """
     started_s = time.monotonic()
     sha256 = digest(fitted.recording)

@@ -79,12 +79,8 @@ class Checked:
 def check_model(path: Path, recording: Path) -> Checked:
     """Judge the model at `path` by the touches of a recording.
 
-    Raises
-    ------
-    ModelMismatch
-        The model has no field atlas, or is made for another acquisition.
-    RecordingValues
-        The recording has too few touches.
+    Raises ModelMismatch if the model has no field atlas, or is made for another acquisition; RecordingValues if the
+    recording has too few touches.
     """
     model = Model(path)
     if model.atlas is None:

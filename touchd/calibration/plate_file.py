@@ -107,11 +107,8 @@ class PlateFile(_Table):
 def read_plate_file(path: Path) -> PlateFile:
     """Read PLATE.toml.
 
-    Raises
-    ------
-    PlateFileInvalid
-        The file is missing or no TOML, a key is unknown, missing or out of range, the material is unknown, lengths are
-        not in millimetres, or a disc reaches over the edge.
+    Raises PlateFileInvalid if the file is missing or no TOML, a key is unknown, missing or out of range, the material
+    is unknown, lengths are not in millimetres, or a disc reaches over the edge.
     """
     try:
         content = tomllib.loads(read_text(path))

@@ -68,10 +68,7 @@ class Refined:
 def taps_of(recording: Recording, atlas: Atlas) -> Taps:
     """Return the taps of a recording: its frames of one finger with one label, averaged.
 
-    Raises
-    ------
-    CalibrationError
-        The recording has no labelled tap, or no untouched frame beside it, or other channels.
+    Raises CalibrationError if the recording has no labelled tap, or no untouched frame beside it, or other channels.
     """
     a = atlas.description.acquisition
     if recording.frames.shape[1:] != a.shape:
@@ -90,10 +87,7 @@ def taps_of(recording: Recording, atlas: Atlas) -> Taps:
 def labelled(recording: Recording) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
     """Return the positions (n, 2) of single touches, their frames (n,), and the untouched frames (m,).
 
-    Raises
-    ------
-    CalibrationError
-        The recording has none, or labels beyond the plate.
+    Raises CalibrationError if the recording has none, or labels beyond the plate.
     """
     try:
         return labels(recording, least=1)

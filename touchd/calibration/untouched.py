@@ -66,10 +66,7 @@ def untouched_acts(recording: Recording) -> Recording:
 def untouched_mean(recording: Recording, said: PlateFile) -> Untouched:
     """Return the mean of the frames that nothing disturbs.
 
-    Raises
-    ------
-    PlateTouched, PlateUnsteady, SignalClipped, PlateMismatch
-        The recording cannot calibrate this plate.
+    Raises PlateTouched, PlateUnsteady, SignalClipped or PlateMismatch if the recording cannot calibrate this plate.
     """
     _check_geometry(recording, said)
     frames = recording.frames

@@ -52,13 +52,7 @@ def judge_clock(state: int, now_s: float) -> Finding:
 
 
 def take(source: Source, seconds: float) -> Sample:
-    """Read frames until their times span `seconds`.
-
-    Raises
-    ------
-    SourceError
-        Fewer than two frames arrived.
-    """
+    """Read frames until their times span `seconds`; SourceError if fewer than two frames arrived."""
     counts: list[Counts] = []
     sequence: list[int] = []
     t_ns: list[int] = []
@@ -88,12 +82,8 @@ def take(source: Source, seconds: float) -> Sample:
 def untouched(path: Path, model: Model) -> NDArray[np.float64]:
     """Return the mean untouched frame of a recording, of shape (channels, samples), ADC counts.
 
-    Raises
-    ------
-    RecordingError
-        The recording is unreadable, or has no untouched frame.
-    ModelMismatch
-        Recording and model differ in their acquisition.
+    Raises RecordingError if the recording is unreadable, or has no untouched frame; ModelMismatch if recording and
+    model differ in their acquisition.
     """
     reader = Reader(path)
     model.check(reader.acquisition)

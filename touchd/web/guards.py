@@ -47,10 +47,7 @@ class Access:
     watched : bool
         Whether a browser needs a session even to look.
 
-    Raises
-    ------
-    ConfigError
-        An origin is malformed.
+    Raises ConfigError if an origin is malformed.
     """
 
     def __init__(self, port: int, origins: Iterable[str] = (), *, watched: bool = False) -> None:

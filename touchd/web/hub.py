@@ -72,10 +72,7 @@ class Hub:
     shows_keys : bool
         Hand out touches in keypad mode, too.
 
-    Raises
-    ------
-    BusError
-        The address cannot be used.
+    Raises BusError if the address cannot be used.
     """
 
     def __init__(self, address: str | None = None, *, shows_keys: bool = False) -> None:

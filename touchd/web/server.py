@@ -37,10 +37,7 @@ _REQUEST_NS = 10_000_000_000
 def bind(address: str) -> socket.socket:
     """Return a socket that listens at HOST:PORT on loopback.
 
-    Raises
-    ------
-    ConfigError, InsecureBind, AddressInUse
-        It is no such address, it is beyond loopback, or it is taken.
+    Raises ConfigError if it is no such address, InsecureBind if it is beyond loopback, AddressInUse if it is taken.
     """
     host, _, port = address.rpartition(":")
     host = {"localhost": "127.0.0.1"}.get(host, host.strip("[]"))

@@ -35,12 +35,7 @@ def take_crosses(
 
     While the daemon has said nothing for `silent_s` its `at` is None.
 
-    Raises
-    ------
-    Stopped
-        `stop` was set.
-    CalibrationError
-        The plate is a keypad.
+    Raises Stopped if `stop` was set; CalibrationError if the plate is a keypad.
     """
     crosses, shown, heard_s = Crosses(), None, time.monotonic()
     with Subscriber(address, ("touch", "plate", "health"), max_age_s=None) as events:
@@ -66,12 +61,7 @@ def keep(
 
     Where the configuration is root's, the touches are left at `handed`: touchd-mapping.service fits and writes them.
 
-    Raises
-    ------
-    BridgeError
-        No mapping explains the touches.
-    OutputError
-        Nobody writes it.
+    Raises BridgeError if no mapping explains the touches; OutputError if nobody writes it.
     """
     mapping = fit(touched)
     if os.access(config.parent, os.W_OK) if writable is None else writable:

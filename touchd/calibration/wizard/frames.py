@@ -84,15 +84,7 @@ def meta_of(source: DaemonSource, said: PlateFile) -> Meta:
 def take_untouched(
     source: DaemonSource, said: PlateFile, path: Path, seconds: float, stop: threading.Event, progress: Progress
 ) -> None:
-    """Write frames that nobody touches to `path`.
-
-    Raises
-    ------
-    Stopped
-        `stop` was set.
-    BusError
-        The daemon has ended.
-    """
+    """Write frames that nobody touches to `path`; Stopped if `stop` was set, BusError if the daemon has ended."""
     pipeline = Pipeline(source.acquisition, None, Settings())
     wanted = max(round(seconds * source.description.rate_hz), 1)
     counts = np.empty((wanted, *source.acquisition.shape), np.int16)

@@ -36,14 +36,8 @@ class Session:
     def collect(self, source: DaemonSource, stop: threading.Event) -> None:
         """Take taps until `stop` is set.
 
-        Raises
-        ------
-        Stopped
-            `stop` was set.
-        BusError
-            The daemon has ended.
-        CalibrationError
-            The plate is a keypad: what is tapped there may be a PIN, and none of it is kept.
+        Raises Stopped if `stop` was set; BusError if the daemon has ended; CalibrationError if the plate is a keypad:
+        what is tapped there may be a PIN, and none of it is kept.
         """
         refuse_keypad(source.description.keypad)
         state = self._state

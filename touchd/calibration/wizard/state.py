@@ -30,10 +30,7 @@ _LASTING = ("plate", "mapping", "training", "trained", "untrainable", "runs", "b
 class State:
     """The wizard's state; whoever changes it wakes those who watch.
 
-    Raises
-    ------
-    OutputError
-        The folder is not there, and cannot be made.
+    Raises OutputError if the folder is not there, and cannot be made.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -40,13 +40,7 @@ class Trial:
         self.look()
 
     def go_back(self) -> None:
-        """End the trial with the model from before it.
-
-        Raises
-        ------
-        ModelMissing
-            None ran, or it is kept no longer.
-        """
+        """End the trial with the model from before it; ModelMissing if none ran, or it is kept no longer."""
         before, kept = self._state["before"], previous_path(self._target)
         if not before:
             raise ModelMissing("no model ran before", str(self._target), "keep this one, or calibrate again")

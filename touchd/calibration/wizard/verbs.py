@@ -22,12 +22,7 @@ _QUIET = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 def fit(state: State, stop: threading.Event, progress: Progress) -> dict[str, Any]:
     """Fit the plate to the untouched seconds, with the taps there are, and return what `calibrate --json` says.
 
-    Raises
-    ------
-    Stopped
-        `stop` was set.
-    CalibrationError
-        The fit failed; its error says why.
+    Raises Stopped if `stop` was set; CalibrationError if the fit failed: its error says why.
     """
     asked = ["calibrate", str(state.untouched), "-o", str(state.model), "--plate", str(state.plate_file), "--lines"]
     if state["taps"]:
@@ -41,12 +36,7 @@ def fit(state: State, stop: threading.Event, progress: Progress) -> dict[str, An
 def train(state: State, stop: threading.Event, progress: Progress) -> dict[str, Any]:
     """Train a model by the recipe and on the recording of the state's `training`, and return its scores.
 
-    Raises
-    ------
-    Stopped
-        `stop` was set.
-    TrainingError
-        The training failed; its last line says why.
+    Raises Stopped if `stop` was set; TrainingError if the training failed: its last line says why.
     """
     wish = state["training"]
     asked = ["train", "-o", str(state.trained), "--recipe", wish["recipe"], "--no-report", "--force", "--lines",

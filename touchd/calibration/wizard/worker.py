@@ -237,12 +237,7 @@ class Worker:
 async def serve(worker: Worker, state: State, path: Path, manager: Notifier, ready: Callable[[], object]) -> None:
     """Listen at `path` until SIGTERM or SIGINT.
 
-    Raises
-    ------
-    AddressInUse
-        Another wizard listens there.
-    OutputError
-        No socket can be made there.
+    Raises AddressInUse if another wizard listens there; OutputError if no socket can be made there.
     """
     ended = asyncio.Event()
 
