@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from touchd.bridges.following import Down
+from touchd.bridges.bridge import Down
 from touchd.errors import ConfigError
 from touchd.event import Contact
 

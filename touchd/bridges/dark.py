@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from touchd.bridges.bridge import Output
-from touchd.bridges.following import Down
+from touchd.bridges.bridge import Down, Output
 from touchd.event import KeyEvent
 
 CONNECTORS = Path("/sys/class/drm")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from touchd.bridges import slots
+from touchd.bridges import uinput
 from touchd.bridges.area import Area
-from touchd.bridges.bridge import Output
-from touchd.bridges.following import Down
+from touchd.bridges.bridge import Down, Output
 from touchd.event import KeyEvent
 
 
@@ -28,22 +27,22 @@ class Screen(Output):
 
     def __init__(self, area: Area, device: Writer) -> None:
         self._area, self._device = area, device
-        self._slots: slots.Slots = {}
-        self._fingers: dict[int, slots.Finger] = {}  # as written last
+        self._slots: uinput.Slots = {}
+        self._fingers: dict[int, uinput.Finger] = {}  # as written last
 
     def show(self, down: Down, t_ns: int) -> None:
         """Write one frame, unless all fingers are where they were, in the device's units."""
-        fingers = slots.fingers_at(self._area.places(down, t_ns))
+        fingers = uinput.fingers_at(self._area.places(down, t_ns))
         if fingers == self._fingers and fingers.keys() <= self._slots.keys():  # none waits for a slot
             return
         self._fingers = fingers
-        frame, self._slots = slots.encode(self._slots, fingers)
+        frame, self._slots = uinput.encode(self._slots, fingers)
         self._device.write(frame)
 
     def close(self) -> None:
         """Lift all fingers and remove the device."""
         try:
-            self._device.write(slots.lift_all())
+            self._device.write(uinput.lift_all())
         finally:
             self._device.close()
 
@@ -89,4 +88,4 @@ class Keypad(Output):
             self._device.close()
 
     def _write(self, code: int, value: int) -> None:
-        self._device.write(slots.pack((slots.EV_KEY, code, value), (slots.EV_SYN, slots.SYN_REPORT, 0)))
+        self._device.write(uinput.pack((uinput.EV_KEY, code, value), (uinput.EV_SYN, uinput.SYN_REPORT, 0)))
