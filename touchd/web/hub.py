@@ -63,16 +63,9 @@ class Client:
 
 
 class Hub:
-    """Connects the bus to browsers.
+    """Connects the bus to browsers, by default that of the installed service, or of a touchd on this computer.
 
-    Parameters
-    ----------
-    address : str, optional
-        The bus; by default the installed service, or a touchd on this computer.
-    shows_keys : bool
-        Hand out touches in keypad mode, too.
-
-    Raises BusError if the address cannot be used.
+    With `shows_keys` it hands out touches in keypad mode, too. Raises BusError if the address cannot be used.
     """
 
     def __init__(self, address: str | None = None, *, shows_keys: bool = False) -> None:
