@@ -9,8 +9,8 @@ from matplotlib.figure import Figure, FigureBase
 
 from touchd import __version__
 from touchd.calibration.calibrate import Calibrated, Fitted
-from touchd.calibration.error_map import ErrorMap
 from touchd.calibration.place_correction import widths_of
+from touchd.calibration.taps import ErrorMap
 from touchd.evaluation.plots.maps import MAP
 from touchd.frame import Plate
 from touchd.training.report.report import duration, write_folder

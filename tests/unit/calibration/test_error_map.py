@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.calibration.plates import PLATE, off_channels
-from touchd.calibration.error_map import GRID, ErrorMap
 from touchd.calibration.place_correction import PlaceCorrection, Widths, left_mm, with_places
-from touchd.calibration.taps import Taps, refine, taps_of
+from touchd.calibration.taps import GRID, ErrorMap, Taps, refine, taps_of
 from touchd.localization.atlas import Atlas
 from touchd.training.field.place import FieldMap, place
 from touchd.twin.instrument import Instrument

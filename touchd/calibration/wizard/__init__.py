@@ -6,7 +6,7 @@ page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
 - `state.py`: what is known so far, on disk after each step: a restart goes on from there
 - `frames.py`: ten seconds that nobody touches; a finger begins them again. What a tap is worth; where to tap says
   `touchd.calibration.walk`
-- `session.py`: what taps tell, kept tap by tap; `touchd.calibration.error_map` has the expected error over the plate
+- `session.py`: what taps tell, kept tap by tap; `touchd.calibration.taps` has the expected error over the plate
 - `crosses.py`: where the screen lies, by touches at crosses
 - `verbs.py`: `touchd calibrate` and `touchd train` in a child process
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from touchd.calibration.error_map import ErrorMap
 from touchd.calibration.place_correction import Widths
-from touchd.calibration.taps import FITS, ORIENTATIONS, Taps, orientation_of, refine, scatter_of, taps_of, turned
+from touchd.calibration.taps import ORIENTATIONS, ErrorMap, refine, taps_of, told_by
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
 from touchd.calibration.wizard.frames import Stopped, Tapped, Tapper, meta_of, refuse_keypad
 from touchd.calibration.wizard.state import State
@@ -20,7 +19,6 @@ from touchd.recording.data import Meta, Recording
 from touchd.recording.format import read, write
 from touchd.service.frame_feed import DaemonSource
 from touchd.service.runner import frames_of
-from touchd.training.field.place import place
 
 LEAST_TO_TELL = 3
 """Taps from which on orientation and scatter are told."""
@@ -109,14 +107,7 @@ class Session:
         taps = taps_of(read(self._state.taps), atlas) if self._state["taps"] else None
         told, orientation = None, 0
         if taps is not None and len(self._state["taps"]) >= LEAST_TO_TELL:
-            orientation = orientation_of(atlas, taps)
-            label_mm = turned(taps.label_mm, orientation, atlas.description.plate.size_mm)
-            placed = place(atlas, taps.values, label_mm)
-            fits = placed.misfit < FITS
-            scatter_mm, repeats = scatter_of(label_mm[fits], placed.position_mm[fits])
-            off_mm = float(np.median(np.linalg.norm(placed.position_mm - label_mm, axis=1)))
-            told = {"scatter_mm": scatter_mm, "repeats": repeats, "off_mm": off_mm,
-                    "orientation": ORIENTATIONS[orientation]}  # fmt: skip
+            orientation, told = told_by(taps, atlas)
         # Taps on a drawing that is turned tell nothing of places on it.
         self._state.set(told=told, expected=None if orientation or not errors else errors.shown(taps))
 
@@ -161,7 +152,7 @@ def compare(state: State, models: dict[str, Path]) -> dict[str, Any]:
     for name, path in models.items():
         try:
             atlas = load_atlas(atlas_path(path))
-            taps: Taps = taps_of(read(state.taps), atlas)
+            taps = taps_of(read(state.taps), atlas)
             refined = refine(atlas, taps)
         except TouchdError as error:
             found[name] = {"problem": error.what}
