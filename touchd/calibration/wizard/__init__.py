@@ -8,7 +8,7 @@ page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
   `touchd.calibration.walk`
 - `session.py`: what taps tell, kept tap by tap; `touchd.calibration.taps` has the expected error over the plate
 - `crosses.py`: where the screen lies, by touches at crosses
-- `verbs.py`: `touchd calibrate` and `touchd train` in a child process
+- `models.py`: `touchd calibrate` and `touchd train` in a child process; a model on trial in the daemon
 
 The socket takes one JSON object a line, and answers with one.
 """

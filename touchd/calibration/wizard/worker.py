@@ -22,10 +22,9 @@ import structlog
 from touchd.calibration.wizard import MOST_BYTES
 from touchd.calibration.wizard.crosses import keep, take_crosses
 from touchd.calibration.wizard.frames import Stopped, open_feed, take_untouched
+from touchd.calibration.wizard.models import Trial, fit, train
 from touchd.calibration.wizard.session import Session, compare
 from touchd.calibration.wizard.state import State
-from touchd.calibration.wizard.trial import Trial
-from touchd.calibration.wizard.verbs import fit, train
 from touchd.errors import AddressInUse, BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.service.systemd import Notifier
 
