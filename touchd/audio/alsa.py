@@ -184,15 +184,11 @@ def _explain(text: str, name: str) -> str:
     """Return what ALSA says, with what it means."""
     if "busy" in text:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
-    hidden = "No such" in text and _is_hidden(name)
-    if hidden or "Permission denied" in text:
+    named = re.search(r"CARD=([^,]+)", name)
+    # There, but not for this user.
+    hidden = named is not None and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()
+    if ("No such" in text and hidden) or "Permission denied" in text:
         return f"{name} is there, but may not be opened: join the group audio; a service needs audio.conf"
     if "No such" in text:  # file, or device
         return f"there is no {name}: plug it in; arecord -L lists what is there"
     return text
-
-
-def _is_hidden(name: str) -> bool:
-    """Return whether a card is there, but not for this user."""
-    named = re.search(r"CARD=([^,]+)", name)
-    return named is not None and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()

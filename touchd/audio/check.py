@@ -113,7 +113,9 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     progress("noise")
     noise = hear(card, np.zeros(period))
     progress("response")
-    sweep = _sweep(period, card.rate_hz) * 10 ** (level_dbfs / 20)
+    t = np.arange(period) / card.rate_hz
+    # Periodic, of constant amplitude over all that converters pass.
+    sweep = np.sin(np.pi * (PASSED * card.rate_hz) / t[-1] * t**2) * 10 ** (level_dbfs / 20)
     heard = hear(card, sweep).mean(axis=0)
     power = np.square(heard).sum(axis=1)
     cable = int(np.argmax(power))
@@ -139,13 +141,6 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     progress(f"xruns in {seconds:g} s")
     _take_time(found, card, sweep, seconds)
     return found
-
-
-def _sweep(period: int, rate_hz: float) -> Floats:
-    """Return a periodic sweep of constant amplitude over all that converters pass."""
-    t = np.arange(period) / rate_hz
-    top_hz = PASSED * rate_hz
-    return np.asarray(np.sin(np.pi * top_hz / t[-1] * t**2))
 
 
 def _take_response(found: Checked, heard: Floats, sweep: Floats, noise: Floats) -> None:

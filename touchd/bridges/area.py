@@ -86,7 +86,7 @@ class Area:
             if angle_deg is None:
                 angle_deg = 0.0
             elif self._turns:
-                angle_deg = half_turn(angle_deg - 90 * self._turns)
+                angle_deg = (angle_deg - 90 * self._turns + 90.0) % 180.0 - 90.0
             place = Place(x_mm, y_mm, a * vx + b * vy, c * vx + d * vy, angle_deg, contact)
             inside = 0.0 <= x_mm <= wide_mm and 0.0 <= y_mm <= high_mm
             if (inside and contact.kind not in ignored and fates.get(number) is _SHOWN) or (
@@ -118,8 +118,3 @@ class Area:
     def _holds(self, place: Place, margin_mm: float = 0.0) -> bool:
         wide_mm, high_mm = self.size_mm
         return margin_mm <= place.x_mm <= wide_mm - margin_mm and margin_mm <= place.y_mm <= high_mm - margin_mm
-
-
-def half_turn(angle_deg: float) -> float:
-    """Return the angle of an axis, which has no direction, between -90 and 90 degrees."""
-    return (angle_deg + 90.0) % 180.0 - 90.0

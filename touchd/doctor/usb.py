@@ -20,7 +20,8 @@ _HIGH_SPEED_MBIT_S = 480.0
 def examine(settings: DeviceSettings, system: Path = SYSTEM) -> list[Finding]:
     """Check the DAQ by /sys and /dev below `system`, without opening it; the last finding fails if it is unusable."""
     ids = f"{settings.vendor_id:04x}:{settings.product_id:04x}"
-    found = [device for device in _devices(system) if _ids(device) == ids]
+    devices = sorted((system / "sys/bus/usb/devices").glob("*"))
+    found = [device for device in devices if f"{read(device / 'idVendor')}:{read(device / 'idProduct')}" == ids]
     if not found:
         return [Finding("device", "failure", f"no device with the ids {ids} is plugged in",
                         "plug it in; check its cable and power; compare device.vendor_id and device.product_id with "
@@ -89,12 +90,3 @@ def check_descriptors(descriptors: bytes, speed_mbit_s: str) -> Finding:
         fix = "use a cable and a port for USB 2 (480 Mbit/s): 12 Mbit/s carry some 400 frames per second"
         return Finding("descriptors", "warning", text, fix)
     return Finding("descriptors", "ok", text)
-
-
-def _devices(system: Path) -> list[Path]:
-    folder = system / "sys/bus/usb/devices"
-    return sorted(folder.iterdir()) if folder.is_dir() else []
-
-
-def _ids(device: Path) -> str:
-    return f"{read(device / 'idVendor')}:{read(device / 'idProduct')}"
