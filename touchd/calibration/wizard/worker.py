@@ -23,7 +23,7 @@ from touchd.calibration.wizard import MOST_BYTES
 from touchd.calibration.wizard.crosses import keep, take_crosses
 from touchd.calibration.wizard.frames import Stopped, open_feed, take_untouched
 from touchd.calibration.wizard.models import Trial, fit, train
-from touchd.calibration.wizard.session import Session, compare
+from touchd.calibration.wizard.session import collect, compare, tell, undo
 from touchd.calibration.wizard.state import State
 from touchd.errors import AddressInUse, BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.service.systemd import Notifier
@@ -99,15 +99,12 @@ class Worker:
                     raise CalibrationError("a fit or a training runs", "", "wait for its end, or stop it first")
                 found = command(asked)
         except TouchdError as error:
-            return {"ok": False, "problem": f"{error.where}: {error.what}" if error.where else error.what,
-                    "fix": error.fix}  # fmt: skip
+            return {"ok": False} | _told(error)
         return {"ok": True} | (found or {})
 
     def _commands(self) -> dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]]:
-        return {
-            "measures": self._measures, "untouched": lambda _: self._run("untouched"),
-            "fit": lambda _: self._run("fit"),
-            "taps": lambda _: self._run("taps"), "crosses": lambda _: self._run("crosses"), "train": self._ask_to_train,
+        return {name: lambda _, job=name: self._run(job) for name in self._jobs} | {
+            "measures": lambda asked: self._state.set_plate(asked["plate"]), "train": self._ask_to_train,
             "pause": lambda _: self._halt(), "undo": lambda _: self._undo(),
             "try": self._try, "take": lambda _: self._trial.take(), "rollback": lambda _: self._trial.go_back(),
             "compare": lambda _: self._compare(), "begin": lambda _: self._begin(), "picture": self._picture,
@@ -115,14 +112,12 @@ class Worker:
 
     # -- commands ------------------------------------------------------------------------------------
 
-    def _measures(self, asked: dict[str, Any]) -> None:
-        self._state.set_plate(asked["plate"])
-
     def _undo(self) -> None:
         """Take back the last good tap."""
         running = self._state["running"]
         self._halt()
-        Session(self._state).undo()
+        if undo(self._state):
+            tell(self._state)
         if running:
             self._run(running)
 
@@ -177,8 +172,7 @@ class Worker:
         except Stopped:
             return
         except TouchdError as error:
-            self._state.set(running=None, problem=f"{error.where}: {error.what}" if error.where else error.what,
-                            fix=error.fix)  # fmt: skip
+            self._state.set(running=None, **_told(error))
         except Exception as error:
             log.exception("the job failed")
             self._state.set(running=None, problem=f"internal error: {error!r}", fix="see the log: journalctl")
@@ -197,7 +191,7 @@ class Worker:
         self._trial.look()
         self._state.set(result=result, compared=None, expected=None)
         if result["model"] and self._state["taps"]:
-            Session(self._state).tell()
+            tell(self._state)
         self._state.set(running=None, note="")
 
     def _train(self, stop: threading.Event) -> None:
@@ -206,8 +200,7 @@ class Worker:
         self._state.set(running=None, trained=trained, note="")
 
     def _tap(self, stop: threading.Event) -> None:
-        session = Session(self._state)
-        self._with_frames(stop, lambda feed: session.collect(feed, stop))
+        self._with_frames(stop, lambda feed: collect(self._state, feed, stop))
 
     def _map(self, stop: threading.Event) -> None:
         try:
@@ -231,6 +224,10 @@ class Worker:
 
     def _progress(self, share: float, note: str) -> None:
         self._state.set(share=share, note=note)
+
+
+def _told(error: TouchdError) -> dict[str, str]:
+    return {"problem": f"{error.where}: {error.what}" if error.where else error.what, "fix": error.fix}
 
 
 async def serve(worker: Worker, state: State, path: Path, manager: Notifier, ready: Callable[[], object]) -> None:
