@@ -173,11 +173,13 @@ def draw_response(fitted: Fitted) -> Figure:
 
 def draw_residual(fitted: Fitted) -> Figure:
     """Plot what the fit leaves of each channel by frequency."""
-    hz, share = fitted.fit.residual()
-    a = fitted.fit.acquisition
+    fit, a = fitted.fit, fitted.fit.acquisition
+    hz = np.fft.rfftfreq(fit.measured.shape[1], 1 / a.sample_rate_hz)
+    spectrum = np.abs(np.fft.rfft(fit.measured - fit.fitted, axis=1)) ** 2
+    energy = (np.abs(np.fft.rfft(fit.measured, axis=1)) ** 2).sum(axis=1, keepdims=True)
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    for channel, left in enumerate(share):
+    for channel, left in enumerate(spectrum / np.maximum(energy, np.finfo(float).tiny)):
         axes.plot(hz / 1e3, 10 * np.log10(np.maximum(left, 1e-12)), lw=1, label=f"receiver {channel + 1}")
     for edge_hz in (a.chirp.start_hz, a.chirp.stop_hz):
         axes.axvline(edge_hz / 1e3, color="#b0b7bf", lw=1)

@@ -110,11 +110,7 @@ class Edges(NamedTuple):
 
     def turned(self, orientation: int) -> Edges:
         """Return the edges of a plate that is mirrored left to right (bit 0), top to bottom (bit 1), or both."""
-        other = dict(zip(SIDES, SIDES, strict=True))
-        for axis in (0, 1):
-            if orientation & (1 << axis):
-                one, two = SIDES[2 * axis : 2 * axis + 2]
-                other |= {one: two, two: one}
+        other = {side: SIDES[k ^ (orientation >> k // 2 & 1)] for k, side in enumerate(SIDES)}
         values = {f"{other[name.split()[0]]} {name.split()[1]}": value for name, value in self.values.items()}
         return self._replace(kinds={other[side]: kind for side, kind in self.kinds.items()}, values=values)
 

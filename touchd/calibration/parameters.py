@@ -112,6 +112,10 @@ class Reader:
         self.start = np.array([unknown.start for unknown in self.unknowns])
         self.prior = np.array([unknown.prior for unknown in self.unknowns])
         self._at = {name: i for i, name in enumerate(self.names)}
+        self.places = self.names[self._at["x0"] : self._at["mx0"]]
+        """Names of the discs' coordinates."""
+        self.offsets = self.names[self._at["mx0"] :]
+        """Names of the offsets of their masses."""
         self.held = held_sides(said)
         """What holds each side that is not free."""
         self.edges = names_of(self.held)
@@ -126,16 +130,6 @@ class Reader:
     def index(self, names: tuple[str, ...]) -> NDArray[np.intp]:
         """Return where names stand in a vector."""
         return np.array([self._at[name] for name in names])
-
-    @property
-    def places(self) -> tuple[str, ...]:
-        """Names of the discs' coordinates."""
-        return self.names[self._at["x0"] : self._at["mx0"]]
-
-    @property
-    def offsets(self) -> tuple[str, ...]:
-        """Names of the offsets of their masses."""
-        return self.names[self._at["mx0"] :]
 
     def read(self, p: Floats) -> Guess:
         """Return what a vector says, in SI units."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from touchd.calibration.plate_fit import PlateFit, Progress
 from touchd.calibration.reduced_plate import Complex, Floats
-from touchd.calibration.stages import emission
+from touchd.calibration.stages import band, emission
 from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
 from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
@@ -78,7 +78,9 @@ class PhysicalField:
         nu = record.nu_rad_s
         self._response = fit.response(nu)
         self._discs = self._response.modes.discs
-        self._heard = emission(a, nu) * fit.gain(record.hz)  # (R, F)
+        x = band(a, record.hz)
+        gain = fit.gains @ np.stack([x**k for k in range(fit.gains.shape[1])])
+        self._heard = emission(a, nu) * gain  # (R, F)
         self._to_bins = spectra_to_bins(record, a)
 
     def at(self, position_mm: Floats, touch: Reference | None = None) -> Complex:

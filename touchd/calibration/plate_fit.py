@@ -13,7 +13,7 @@ from touchd.calibration.loads import Edges, Loss, attachments
 from touchd.calibration.parameters import LOGARITHMS, Reader, wavelength_mm
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
-from touchd.calibration.stages import State, band, run_stages
+from touchd.calibration.stages import State, run_stages
 from touchd.calibration.untouched import Untouched
 from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
@@ -110,11 +110,6 @@ class PlateFit:
     edges: Edges
     """What holds the sides."""
 
-    def gain(self, frequency_hz: Floats) -> Complex:
-        """Return each channel's complex gain at frequencies (F,), shape (R, F), counts."""
-        x = band(self.acquisition, frequency_hz)
-        return np.asarray(self.gains @ np.stack([x**k for k in range(self.gains.shape[1])]))
-
     def response(self, nu_rad_s: Complex) -> Response:
         """Return the fitted plate's response at complex angular frequencies (F,)."""
         modes = self.basis.loaded(self.plate, self.layout)
@@ -122,13 +117,6 @@ class PlateFit:
             held = attachments(self.edges, self.plate)
             modes = attach(modes, self.plate, held, 0.0, self.edges.middle_rad_s / (2 * np.pi))
         return Response(self.plate, modes, nu_rad_s, self.loss.at(nu_rad_s))
-
-    def residual(self) -> tuple[Floats, Floats]:
-        """Return frequencies (F,), Hz, and the share of each channel's energy left there, shape (R, F)."""
-        spectrum = np.abs(np.fft.rfft(self.measured - self.fitted, axis=1)) ** 2
-        energy = (np.abs(np.fft.rfft(self.measured, axis=1)) ** 2).sum(axis=1, keepdims=True)
-        hz = np.fft.rfftfreq(self.measured.shape[1], 1 / self.acquisition.sample_rate_hz)
-        return np.asarray(hz, np.float64), spectrum / np.maximum(energy, np.finfo(float).tiny)
 
 
 def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = lambda _stage, _share: None) -> PlateFit:
@@ -164,7 +152,10 @@ def _fit(
     energy = np.where(untouched.dead, np.nan, (measured**2).sum(axis=1))
     left = ((measured - fitted) ** 2).sum(axis=1) / energy
     noise_share = float(np.nanmean(untouched.noise**2 * measured.shape[1] / energy))
-    scale_error = _scale_error(reader, state)
+    # Of the mean of the logarithms of width and height.
+    sides = [state.names.index(name) for name in ("width", "height")]
+    share = 0.5 / p[reader.index(("width", "height"))]
+    scale_error = float(np.sqrt(share @ state.covariance[np.ix_(sides, sides)] @ share))
     named = material_like(np.sqrt(plate.elastic.E_pa / plate.elastic.rho_kg_m3), plate.elastic.nu)
     if named and named != plate.material.lower() and any(q.at_prior for q in parameters[:4]):
         found = (*found, f"{named} fits, not {plate.material}: correct the material")
@@ -197,13 +188,6 @@ def _parameters(reader: Reader, state: State) -> tuple[Parameter, ...]:
         Parameter(unknown.label, unknown.unit, float(a), float(b), float(e), bool(m))
         for unknown, a, b, e, m in zip(reader.unknowns, said, found, error, moved, strict=True)
     )
-
-
-def _scale_error(reader: Reader, state: State) -> float:
-    """Return the standard error of the mean of the logarithms of width and height."""
-    at = [state.names.index(name) for name in ("width", "height")]
-    share = 0.5 / state.p[reader.index(("width", "height"))]
-    return float(np.sqrt(share @ state.covariance[np.ix_(at, at)] @ share))
 
 
 def judge(
