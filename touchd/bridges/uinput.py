@@ -99,7 +99,9 @@ class Device:
             ) from error  # fmt: skip
         try:
             self._create(name, phys, keys, axes)
-            self._refuse_second(phys, self._sysname())
+            name_at = bytearray(_NAME_BYTES)
+            fcntl.ioctl(self._fd, UI_GET_SYSNAME, name_at)
+            self._refuse_second(phys, bytes(name_at).split(b"\0")[0].decode())
         except OSError as error:
             self.close()
             raise BridgeError(f"makes no device ({error.strerror})", str(NODE), "see dmesg") from error
@@ -132,11 +134,6 @@ class Device:
         setup = struct.pack("@HHHH80sI", BUS_VIRTUAL, VENDOR_ID, PRODUCT_ID, VERSION, name.encode(), 0)
         fcntl.ioctl(self._fd, UI_DEV_SETUP, setup)
         fcntl.ioctl(self._fd, UI_DEV_CREATE)
-
-    def _sysname(self) -> str:
-        name = bytearray(_NAME_BYTES)
-        fcntl.ioctl(self._fd, UI_GET_SYSNAME, name)
-        return bytes(name).split(b"\0")[0].decode()
 
     def _refuse_second(self, phys: str, own: str = "") -> None:
         """Raise BridgeError if another process has made the device; of two at once, the earlier one stays."""

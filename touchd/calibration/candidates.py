@@ -136,14 +136,11 @@ def _try(said: PlateFile, what: str, misfits: Floats, live: NDArray[np.intp]) ->
     discs = said.discs.model_copy(
         update={"emitter_mm": places[best_order[0]], "receivers_mm": tuple(places[k] for k in best_order[1:])}
     )
-    named = "; ".join(filter(None, (what, _wiring(best_order))))
+    names = ["the emitter", *(f"receiver {c}" for c in range(1, len(places)))]
+    wrong = ", ".join(f"{names[i]} at the place of {names[k]}" for i, k in enumerate(best_order) if i != k)
+    wiring = f"swapped cables fit: {wrong}; swap them, or correct PLATE.toml"
+    named = f"{what}; {wiring}" if what else wiring
     return Candidate(said.model_copy(update={"discs": discs}), named, left[best_order])
-
-
-def _wiring(order: tuple[int, ...]) -> str:
-    names = ["the emitter", *(f"receiver {c}" for c in range(1, len(order)))]
-    wrong = [f"{names[i]} at the place of {names[k]}" for i, k in enumerate(order) if i != k]
-    return f"swapped cables fit: {', '.join(wrong)}; swap them, or correct PLATE.toml"
 
 
 def _orders(count: int) -> list[tuple[int, ...]]:

@@ -229,7 +229,9 @@ def run_stages(
     progress(0.55)
     state = descend(model, state.p, (*PLATE, *edges, *places), WHOLE, 4)
     progress(0.7)
-    model = _recentred(model, state.p)
+    here, there = model.plate.reference, reader.read(state.p).shape
+    if abs(np.log(there.h / here.h)) >= MOVED_THICKNESS or abs(there.nu - here.nu) >= MOVED_POISSON:
+        model = _model_near(reader, state.p, untouched)
     progress(0.8)
     state = descend(model, state.p, (*PLATE, *DISCS, *edges, *places), WHOLE, 8)
     return descend(model, state.p, (*state.names, *reader.offsets), WHOLE, 4), model
@@ -245,14 +247,6 @@ def _starts(model: UntouchedModel) -> list[Floats]:
     minima = np.flatnonzero((left <= padded[:-2]) & (left <= padded[2:]))
     minima = minima[np.argsort(left[minima])][:2]
     return [tried[i] for i in minima if left[i] < RIVAL * left[minima[0]]]
-
-
-def _recentred(model: UntouchedModel, p: Floats) -> UntouchedModel:
-    """Return the model with a basis of its own, where the fit has left the neighbourhood of the first one."""
-    here, there = model.plate.reference, model.reader.read(p).shape
-    if abs(np.log(there.h / here.h)) < MOVED_THICKNESS and abs(there.nu - here.nu) < MOVED_POISSON:
-        return model
-    return _model_near(model.reader, p, model.untouched)
 
 
 def _model_near(reader: Reader, p: Floats, untouched: Untouched, *, edges: bool = True) -> UntouchedModel:

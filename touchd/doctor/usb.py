@@ -6,7 +6,7 @@ import grp
 import os
 from pathlib import Path
 
-from touchd.bridges.dark import read
+from touchd.bridges.screen import read
 from touchd.config.schema import DeviceSettings
 from touchd.doctor.checks import Finding
 from touchd.sources.usb_protocol import INTERFACE_CLASS

@@ -75,13 +75,11 @@ class Access:
             return _REFUSED
         if scope["path"] in open_paths:
             return None
-        if (acts or self.watched) and not self.has_session(scope):
+        # The cookie of this start.
+        session = HTTPConnection(scope).cookies.get(self.cookie, "")
+        if (acts or self.watched) and not _equal(session, self._session):
             return 401, "open the address that `touchd web` has printed"
         return None
-
-    def has_session(self, scope: Scope) -> bool:
-        """Return whether the request comes with the cookie of this start."""
-        return _equal(HTTPConnection(scope).cookies.get(self.cookie, ""), self._session)
 
 
 class Guard:

@@ -20,8 +20,7 @@ from typing import Any
 import structlog
 
 from touchd.calibration.wizard import MOST_BYTES
-from touchd.calibration.wizard.crosses import keep, take_crosses
-from touchd.calibration.wizard.frames import Stopped, open_feed, take_untouched
+from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_crosses, take_untouched
 from touchd.calibration.wizard.models import Trial, fit, train
 from touchd.calibration.wizard.session import collect, compare, tell, undo
 from touchd.calibration.wizard.state import State
@@ -69,7 +68,7 @@ class Worker:
         self._jobs: dict[str, Job] = {
             "untouched": self._take,
             "fit": self._fit,
-            "taps": self._tap,
+            "taps": lambda stop: self._with_frames(stop, lambda feed: collect(self._state, feed, stop)),
             "crosses": self._map,
             "train": self._train,
         }
@@ -198,9 +197,6 @@ class Worker:
         trained = train(self._state, stop, self._progress)
         self._trial.look()
         self._state.set(running=None, trained=trained, note="")
-
-    def _tap(self, stop: threading.Event) -> None:
-        self._with_frames(stop, lambda feed: collect(self._state, feed, stop))
 
     def _map(self, stop: threading.Event) -> None:
         try:
