@@ -49,19 +49,14 @@ class DiscResponse:
         self._H = 1 / (self._bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
         D = len(discs.centres_m)
         volume = shape.h * shape.width * shape.height
+        spring, inert = shape.speed2 / volume * stiff[:, None], -(nu_rad_s[:, None] ** 2) / volume
         # Loads of the discs' vectors per mass of the plate, by what they are proportional to, shape (F, MEANS D).
-        zero, one = np.zeros((len(nu_rad_s), D)), np.ones((len(nu_rad_s), D))
-        spring = shape.speed2 / volume * stiff[:, None] * one
-        inert = -(nu_rad_s[:, None] ** 2) / volume * one
-        self._per_stiffness = np.concatenate([spring, *[OTHER_BENDING * spring] * 2, *[zero] * 5], axis=1)
-        rolling = discs.lever2_m2 * inert
-        tilting = discs.spread * inert
-        self._per_mass = np.concatenate([*[zero] * 3, inert, rolling, rolling, tilting, tilting], axis=1)
-        heavy = discs.mass_kg_m3 * inert
-        rolls = [*[zero] * 4, heavy, heavy, zero, zero]
-        tilts = [*[zero] * 6, heavy / discs.face_m2, heavy / discs.face_m2]
-        lifted = discs.lever2_m2 > 0
-        self._per_gyration2 = np.concatenate(rolls if lifted else tilts, axis=1)
+        other, lever2, spread = OTHER_BENDING, discs.lever2_m2, discs.spread
+        self._per_stiffness = spring * np.repeat([1, other, other, 0, 0, 0, 0, 0], D)
+        self._per_mass = inert * np.repeat([0, 0, 0, 1, lever2, lever2, spread, spread], D)
+        heavy, lifted = discs.mass_kg_m3 * inert, lever2 > 0
+        rolls, tilts = np.repeat([0, 0, 0, 0, 1, 1, 0, 0], D), np.repeat([0, 0, 0, 0, 0, 0, 1, 1], D)
+        self._per_gyration2 = heavy * rolls if lifted else heavy / discs.face_m2 * tilts
         # A wider disc of the same gyration rolls less, and its slopes are means over a wider face.
         self._by_face = self._per_gyration2 * (1.0 if lifted else discs.spread)
         self._stiff_load = discs.stiffness_m3 * self._per_stiffness
