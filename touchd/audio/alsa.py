@@ -144,7 +144,10 @@ class AlsaCard:
             stream.close()
         else:
             raise CardAbsent(f"{self.name} has no format of whole numbers")
-        if (wrong := _misfit(info, self.rate_hz, channels)) is not None:
+        wrong = f"has {info['channels']} channels, not {channels}" if info["channels"] < channels else ""
+        if info["rate"] != self.rate_hz:
+            wrong = f"takes {info['rate']} samples a second, not {self.rate_hz}: set another audio.sample_rate_hz"
+        if wrong:
             stream.close()
             raise CardAbsent(f"{self.name} {wrong}")
         return stream
@@ -157,14 +160,6 @@ def _check_opens(name: str, kind: int) -> None:
     if error < 0:
         raise CardAbsent(_explain(os.strerror(-error), name))
     _LIBRARY.snd_pcm_close(stream)
-
-
-def _misfit(info: dict[str, Any], rate_hz: int, channels: int) -> str | None:
-    if info["rate"] != rate_hz:
-        return f"takes {info['rate']} samples a second, not {rate_hz}: set another audio.sample_rate_hz"
-    if info["channels"] < channels:
-        return f"has {info['channels']} channels, not {channels}"
-    return None
 
 
 def _upper(data: bytes, length: int, channels: int, width: int) -> Samples:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 from touchd.bridges import uinput
 from touchd.bridges.area import Area
@@ -20,22 +19,12 @@ _LOOK_NS = 200_000_000
 """Whether it is dark is asked this often."""
 
 
-class Writer(Protocol):
-    """Takes frames of input events."""
-
-    def write(self, frame: bytes) -> None:
-        """Take one frame."""
-
-    def close(self) -> None:
-        """Take no more."""
-
-
 class Screen(Output):
     """A touch screen: to the program below it a key is a touch, and the kernel keeps what was shown."""
 
     topics = ("touch", "health")
 
-    def __init__(self, area: Area, device: Writer) -> None:
+    def __init__(self, area: Area, device: uinput.Device) -> None:
         self._area, self._device = area, device
         self._slots: uinput.Slots = {}
         self._fingers: dict[int, uinput.Finger] = {}  # as written last
@@ -71,7 +60,7 @@ class Keypad(Output):
 
     topics = ("touch", "key", "health")
 
-    def __init__(self, device: Writer) -> None:
+    def __init__(self, device: uinput.Device) -> None:
         self._device = device
         self._held: set[int] = set()
 

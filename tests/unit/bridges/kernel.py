@@ -24,7 +24,7 @@ class Report(NamedTuple):
     """x, y and pressure for programs that know no slots."""
 
 
-class Kernel:
+class Kernel(uinput.Device):
     """Takes what is written to the device."""
 
     def __init__(self) -> None:
@@ -37,12 +37,12 @@ class Kernel:
         self.writes = 0
         self._freed: set[int] = set()
 
-    def write(self, data: bytes) -> None:
+    def write(self, frame: bytes) -> None:
         """Take one write, which is one whole frame."""
         assert not self.closed
-        assert len(data) % EVENT.size == 0
+        assert len(frame) % EVENT.size == 0
         self.writes += 1
-        events = list(EVENT.iter_unpack(data))
+        events = list(EVENT.iter_unpack(frame))
         assert [event[2:] for event in events].count((uinput.EV_SYN, uinput.SYN_REPORT, 0)) == 1
         for _, _, kind, code, value in events:
             self._take(kind, code, value)

@@ -8,7 +8,7 @@ import pytest
 
 from tests.unit.bridges.events import MS, contact
 from tests.unit.bridges.kernel import Kernel
-from touchd.bridges import screen
+from touchd.bridges import screen, uinput
 from touchd.bridges.area import Area
 from touchd.bridges.screen import HoldOff, Keypad, Screen
 from touchd.config.schema import InputSettings
@@ -51,7 +51,10 @@ def test_keypad() -> None:
     """In the dark no key is typed, and one that was held is released."""
     written: list[bytes] = []
 
-    class Device:
+    class Device(uinput.Device):
+        def __init__(self) -> None:
+            """It is not the kernel's."""
+
         def write(self, frame: bytes) -> None:
             written.append(frame)
 

@@ -98,9 +98,9 @@ def test_resting() -> None:
     written: list[bytes] = []
 
     class Device(Kernel):
-        def write(self, data: bytes) -> None:
-            written.append(data)
-            super().write(data)
+        def write(self, frame: bytes) -> None:
+            written.append(frame)
+            super().write(frame)
 
     kernel = Device()
     screen, counts = Screen(Area(InputSettings(screen_mm=(0, 0, 200, 100))), kernel), []
