@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.bridges.fit import LEAST_TOUCHES, Crosses, Mapping, Touched, fit, keys_of
+from touchd.bridges.area import LEAST_TOUCHES, Crosses, Mapping, Touched, fit, keys_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.taps import FITS, Taps, turned
 from touchd.client import Subscriber

@@ -22,8 +22,7 @@ import structlog
 from touchd.calibration.wizard import MOST_BYTES
 from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_crosses, take_untouched
 from touchd.calibration.wizard.models import Trial, fit, train
-from touchd.calibration.wizard.session import collect, compare, tell, undo
-from touchd.calibration.wizard.state import State
+from touchd.calibration.wizard.state import State, collect, compare, tell, undo
 from touchd.errors import AddressInUse, BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.service.systemd import Notifier
 

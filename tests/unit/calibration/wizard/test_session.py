@@ -19,7 +19,7 @@ from tests.unit.calibration.plates import PLATE
 from tests.unit.calibration.wizard.test_tapping import Plate as Tapping
 from touchd.calibration.taps import scatter_of
 from touchd.calibration.walk import target_mm
-from touchd.calibration.wizard import session
+from touchd.calibration.wizard import state as session
 from touchd.calibration.wizard.frames import Tapped
 from touchd.calibration.wizard.state import State
 from touchd.errors import CalibrationError
