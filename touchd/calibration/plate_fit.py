@@ -68,17 +68,21 @@ class Parameter(NamedTuple):
     """Whether the data pull it further from what was said than its uncertainty allows."""
 
 
-class Judgement(NamedTuple):
+@dataclass(frozen=True)
+class Judgement:
     """What a fit is worth."""
 
     verdict: Verdict
     expected_mm: float
+    """Expected median error of a touch with a physical atlas of this plate."""
     reasons: tuple[str, ...]
+    """Why the verdict is not better, each with the next thing to do."""
     undecided: tuple[str, ...]
+    """What an untouched plate cannot tell, each with what settles it."""
 
 
 @dataclass(frozen=True)
-class PlateFit:
+class PlateFit(Judgement):
     """A fitted plate: R receivers, S samples, F frequencies."""
 
     plate: ElasticPlate
@@ -88,13 +92,6 @@ class PlateFit:
     gains: Complex
     """Coefficients of each channel's complex gain, shape (R, 3), in powers of `band`; counts per unit of response."""
     parameters: tuple[Parameter, ...]
-    verdict: Verdict
-    expected_mm: float
-    """Expected median error of a touch with a physical atlas of this plate."""
-    reasons: tuple[str, ...]
-    """Why the verdict is not better, each with the next thing to do."""
-    undecided: tuple[str, ...]
-    """What an untouched plate cannot tell, each with what settles it."""
     scale_error: float
     """Standard error of the absolute scale, which the ruler alone gives, relative."""
     unexplained: float
@@ -169,7 +166,7 @@ def _fit(
     gains = stiffness_of(plate).mass * plate.width_mm * plate.height_mm * 1e-6 * state.fitted.gains
     fit = PlateFit(
         plate=plate, layout=reader.layout(p), acquisition=untouched.acquisition, loss=guess.loss, gains=gains,
-        parameters=parameters, **judgement._asdict(),
+        parameters=parameters, **vars(judgement),
         scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
         measured=measured, fitted=fitted, basis=model.plate, edges=guess.edges,
     )  # fmt: skip
