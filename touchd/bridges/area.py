@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from msgspec import Struct
 
@@ -36,13 +35,8 @@ class Place(Struct, gc=False):
     contact: Contact
 
 
-class _Fate(Enum):
-    WAITING = 0
-    SHOWN = 1
-    DROPPED = 2
-
-
-_WAITING, _SHOWN, _DROPPED = _Fate  # to look up an enum's member is slow
+Fate = Literal["waiting", "shown", "dropped"]
+"""What becomes of a contact. Text: to look up an enum's member is slow."""
 
 
 class Area:
@@ -70,7 +64,7 @@ class Area:
         """The picture's right and down as directions on the plate."""
         self.size_mm = (high_mm, wide_mm) if self._turns % 2 else (wide_mm, high_mm)
         """Width and height of the picture."""
-        self._fates: dict[int, _Fate] = {}
+        self._fates: dict[int, Fate] = {}
         self._since_ns: dict[int, int] = {}  # the time of each one's first message
 
     def places(self, down: Down, t_ns: int) -> dict[int, Place]:
@@ -98,8 +92,8 @@ class Area:
                 angle_deg = (angle_deg - 90 * self._turns + 90.0) % 180.0 - 90.0
             place = Place(x_mm, y_mm, a * vx + b * vy, c * vx + d * vy, angle_deg, contact)
             inside = 0.0 <= x_mm <= wide_mm and 0.0 <= y_mm <= high_mm
-            if (inside and contact.kind not in ignored and fates.get(number) is _SHOWN) or (
-                self._judge(number, place, t_ns) is _SHOWN
+            if (inside and contact.kind not in ignored and fates.get(number) == "shown") or (
+                self._judge(number, place, t_ns) == "shown"
             ):
                 found[number] = place
         if len(fates) > len(down):
@@ -107,18 +101,18 @@ class Area:
             self._since_ns = {number: self._since_ns[number] for number in down}
         return found
 
-    def _judge(self, number: int, place: Place, t_ns: int) -> _Fate:
+    def _judge(self, number: int, place: Place, t_ns: int) -> Fate:
         """Clamp a finger to the screen, and return what becomes of it."""
         settings, since_ns = self._settings, self._since_ns.setdefault(number, t_ns)
-        fate = self._fates.get(number) or (_WAITING if self._holds(place, settings.edge_mm) else _DROPPED)
+        fate = self._fates.get(number) or ("waiting" if self._holds(place, settings.edge_mm) else "dropped")
         ignored = place.contact.kind in settings.ignore
-        if fate is _WAITING and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
-            fate = _SHOWN
-        elif fate is _SHOWN and ignored:
-            fate = _DROPPED
+        if fate == "waiting" and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
+            fate = "shown"
+        elif fate == "shown" and ignored:
+            fate = "dropped"
         if not self._holds(place):
             if settings.border == "lift":
-                fate = _DROPPED
+                fate = "dropped"
             place.x_mm = min(max(place.x_mm, 0.0), self.size_mm[0])
             place.y_mm = min(max(place.y_mm, 0.0), self.size_mm[1])
         self._fates[number] = fate
