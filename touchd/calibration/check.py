@@ -105,9 +105,7 @@ def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, f
     alive: dict[int, tuple[float, float]] = {}
     touches = settled = 0
     with closing(source):
-        for frame in frames_of(source):
-            if frame is None:
-                continue
+        for frame in filter(None, frames_of(source)):
             result = pipeline.process(frame)
             before = set(alive)
             for contact in result.contacts:

@@ -33,9 +33,7 @@ def main(recording: str, folder: str, config: str) -> None:
     alive: list[Contact] = []
     offsets, counts, first_ns = [0], [], None
     with closing(source), (Path(folder) / "frames.jsonl").open("wb") as out:
-        for frame in frames_of(source):
-            if frame is None:
-                continue
+        for frame in filter(None, frames_of(source)):
             first_ns = frame.t_ns if first_ns is None else first_ns
             result = pipeline.process(frame)
             contacts = result.contacts or alive  # none are due where nothing has changed

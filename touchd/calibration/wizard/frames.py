@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -92,6 +92,16 @@ def refuse_keypad(keypad: bool) -> None:
         )  # fmt: skip
 
 
+def frames_until(stop: threading.Event, source: DaemonSource, after: str) -> Iterator[Frame]:
+    """Yield a daemon's frames; Stopped if `stop` was set, BusError if the daemon has ended: what comes `after` that."""
+    for frame in frames_of(source):
+        if stop.is_set():
+            raise Stopped
+        if frame is not None:
+            yield frame
+    raise BusError("the daemon has ended", "", after)
+
+
 def meta_of(source: DaemonSource, said: PlateFile) -> Meta:
     """Return the description of a recording of a daemon's frames."""
     return describe(source.acquisition, said.described(), source.description.rate_hz, source="calibrate")
@@ -106,11 +116,7 @@ def take_untouched(
     counts = np.empty((wanted, *source.acquisition.shape), np.int16)
     sequence, t_ns = np.empty(wanted, np.int64), np.empty(wanted, np.int64)
     kept = touched = 0
-    for frame in frames_of(source):
-        if stop.is_set():
-            raise Stopped
-        if frame is None:
-            continue
+    for frame in frames_until(stop, source, "the seconds begin again once it runs"):
         outcome = pipeline.process(frame).outcome
         touched = touched + 1 if outcome is Outcome.UNCALIBRATED else 0
         if touched >= TOUCHED_FRAMES:
@@ -126,7 +132,6 @@ def take_untouched(
         if kept == wanted:
             write(path, Recording(meta_of(source, said), counts, sequence, t_ns - t_ns[0]))
             return
-    raise BusError("the daemon has ended", "", "the seconds begin again once it runs")
 
 
 class Tapped(NamedTuple):

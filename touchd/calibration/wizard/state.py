@@ -17,14 +17,13 @@ from touchd.calibration.place_correction import Widths
 from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.calibration.taps import ORIENTATIONS, ErrorMap, refine, taps_of, told_by
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
-from touchd.calibration.wizard.frames import Stopped, Tapped, Tapper, meta_of, refuse_keypad
-from touchd.errors import BusError, OutputError, TouchdError
+from touchd.calibration.wizard.frames import Tapped, Tapper, frames_until, meta_of, refuse_keypad
+from touchd.errors import OutputError, TouchdError
 from touchd.files import replacing
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
 from touchd.recording.data import Meta, Recording
 from touchd.recording.format import read, write
 from touchd.service.frame_feed import DaemonSource
-from touchd.service.runner import frames_of
 
 NOTHING: dict[str, Any] = {
     "running": None, "share": 0.0, "note": "", "problem": "", "fix": "", "plate": None, "untouched": False,
@@ -154,11 +153,7 @@ def collect(state: State, source: DaemonSource, stop: threading.Event) -> None:
     _tell(state, atlas, errors)
     meta = meta_of(source, state.said())
     number = _show_target(state)
-    for frame in frames_of(source):
-        if stop.is_set():
-            raise Stopped
-        if frame is None:
-            continue
+    for frame in frames_until(stop, source, "the taps go on once it runs"):
         x_mm, y_mm = state["target_mm"]
         tapped = tapper.feed(frame, (x_mm, y_mm))
         if tapped is None:
@@ -169,7 +164,6 @@ def collect(state: State, source: DaemonSource, stop: threading.Event) -> None:
             _tell(state, atlas, errors)
         told = state["told"]
         tapper.orientation = ORIENTATIONS.index(told["orientation"]) if told else None
-    raise BusError("the daemon has ended", "", "the taps go on once it runs")
 
 
 def take(state: State, tapped: Tapped, meta: Meta, number: int) -> None:
