@@ -112,12 +112,7 @@ class Output(Protocol):
         """Lift all and end."""
 
 
-def run(
-    address: str | None,
-    output: Output,
-    goes_on: Callable[[int], bool],
-    clock: Callable[[], int] = time.monotonic_ns,
-) -> None:
+def run(address: str | None, output: Output, goes_on: Callable[[int], bool]) -> None:
     """Show what the daemon publishes at `address`; lift all fingers at the end, after errors too.
 
     The bus is by default that of the installed service, or of a `touchd` on this computer. `goes_on` is asked every
@@ -129,7 +124,7 @@ def run(
     events: Subscriber[Event]
     try:
         with Subscriber(address, output.topics) as events:
-            now_ns = due_ns = clock()
+            now_ns = due_ns = time.monotonic_ns()
             wait_s = _WAIT_S
             while True:
                 if now_ns >= due_ns:
@@ -140,11 +135,11 @@ def run(
                 try:
                     event = events.receive(wait_s)
                 except BusTimeout:
-                    if following.check(now_ns := clock()):
+                    if following.check(now_ns := time.monotonic_ns()):
                         output.show(following.down, now_ns)
                     wait_s = following.patience_s(now_ns, _WAIT_S)
                     continue
-                now_ns = clock()
+                now_ns = time.monotonic_ns()
                 if following.take(event, now_ns) or following.check(now_ns):
                     output.show(following.down, event.t_ns)
                 if isinstance(event, TouchEvent):
