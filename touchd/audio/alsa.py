@@ -181,8 +181,8 @@ def _explain(text: str, name: str) -> str:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
     named = re.search(r"CARD=([^,]+)", name)
     # There, but not for this user.
-    hidden = named is not None and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()
-    if ("No such" in text and hidden) or "Permission denied" in text:
+    hidden = "No such" in text and named and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()
+    if hidden or "Permission denied" in text:
         return f"{name} is there, but may not be opened: join the group audio; a service needs audio.conf"
     if "No such" in text:  # file, or device
         return f"there is no {name}: plug it in; arecord -L lists what is there"
