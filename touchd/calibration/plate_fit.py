@@ -188,16 +188,9 @@ def _parameters(reader: Reader, state: State) -> tuple[Parameter, ...]:
 
 
 def judge(
-    shares: Floats,
-    parameters: Sequence[Parameter],
-    *,
-    noise_share: float,
-    frame_noise: float,
-    wavelength_mm: float,
-    scale_mm: float,
-    clamped: Sequence[str] = (),
-    found: Sequence[str] = (),
-) -> Judgement:
+    shares: Floats, parameters: Sequence[Parameter], *, noise_share: float, frame_noise: float, wavelength_mm: float,
+    scale_mm: float, clamped: Sequence[str] = (), found: Sequence[str] = (),
+) -> Judgement:  # fmt: skip
     """Return verdict, expected error and reasons.
 
     `shares` (R,) is what the fit leaves of each channel's energy, NaN of a dead one; `noise_share` of the mean frame's
