@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from touchd.calibration.loads import LEAST_RATIO, Discs, Edges, Lines, Loss, disc_vectors
+from touchd.calibration.loads import LEAST_RATIO, Discs, Guess, Lines, disc_vectors
 from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, ReducedPlate, Shape
 from touchd.twin.physics.transducer import MEANS, OTHER_BENDING
 
@@ -27,23 +27,15 @@ ABSENT = 1e-9
 class DiscResponse:
     """Response of a plate with D discs at complex angular frequencies: F frequencies, R receivers, V vectors.
 
-    `nu_rad_s` has shape (F,); `held` is what holds the sides.
+    `nu_rad_s` has shape (F,); without `lines` no side is held.
     """
 
-    def __init__(
-        self,
-        plate: ReducedPlate,
-        shape: Shape,
-        discs: Discs,
-        loss: Loss,
-        nu_rad_s: Complex,
-        held: tuple[Lines, Edges] | None = None,
-    ) -> None:
-        self._plate, self._shape, self._discs, self._loss, self._nu = plate, shape, discs, loss, nu_rad_s
-        self._held = held
+    def __init__(self, plate: ReducedPlate, guess: Guess, nu_rad_s: Complex, lines: Lines | None = None) -> None:
+        self._plate, self._nu, self._lines = plate, nu_rad_s, lines
+        self._shape, self._discs, self._loss, self._edges = shape, discs, loss, edges = guess
         self._bare = plate.solve(shape)
         vectors = disc_vectors(plate, (shape.width, shape.height), discs)
-        every = np.concatenate([vectors, held[0].vectors], axis=1) if held else vectors
+        every = np.concatenate([vectors, lines.vectors], axis=1) if lines else vectors
         self._phi = plate.turned(every, self._bare)
         stiff: Complex = np.asarray(1 + 1j * loss.at(nu_rad_s), np.complex128)
         self._H = 1 / (self._bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
@@ -63,8 +55,7 @@ class DiscResponse:
         self._disc_load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
         self._load = self._disc_load  # (F, V)
         self._per_edge: dict[str, Complex] = {}
-        if held:
-            lines, edges = held
+        if lines:
             self._per_edge = lines.loads(edges.middle_rad_s, nu_rad_s, stiff)
             total = sum(max(edges.values[name], 0.0) * load for name, load in self._per_edge.items())
             self._load = np.concatenate([self._load, total], axis=1)
@@ -186,9 +177,9 @@ class DiscResponse:
         strain = np.stack([(x[0] * squares * x[r]).sum(axis=0) for r in range(1, D)])
         strain = stiff * strain + self._weighed(self._stiff_load)
         by_loss = -1j * self._loss.at(self._nu) / stiff * strain
-        if self._held:
-            lines, edges = self._held
-            elastic = np.broadcast_to(lines.elastic(edges), (len(self._nu), lines.vectors.shape[1]))
+        if self._lines:
+            elastic = self._lines.elastic(self._edges)
+            elastic = np.broadcast_to(elastic, (len(self._nu), elastic.shape[1]))
             by_loss -= 1j * self._loss.at(self._nu) * self._weighed(elastic, MEANS * D)
         if "loss" in names:
             found["loss"] = by_loss

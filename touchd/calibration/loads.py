@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
+from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate, Shape
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import Attachment, Support
@@ -113,6 +113,15 @@ class Edges(NamedTuple):
         other = {side: SIDES[k ^ (orientation >> k // 2 & 1)] for k, side in enumerate(SIDES)}
         values = {f"{other[name.split()[0]]} {name.split()[1]}": value for name, value in self.values.items()}
         return self._replace(kinds={other[side]: kind for side, kind in self.kinds.items()}, values=values)
+
+
+class Guess(NamedTuple):
+    """A vector of the unknowns, read as plate, discs, loss and edges."""
+
+    shape: Shape
+    discs: Discs
+    loss: Loss
+    edges: Edges
 
 
 class Lines(NamedTuple):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Loss, names_of
+from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Guess, Loss, names_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Floats, Shape, shape_of
 from touchd.frame import Acquisition, Chirp, Plate
@@ -92,15 +92,6 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
 def held_sides(said: PlateFile) -> dict[str, str]:
     """Return what holds each side that is not free."""
     return {side: kind for side, kind in said.plate.edges.model_dump().items() if kind != "free"}
-
-
-class Guess(NamedTuple):
-    """A vector of the unknowns, read as plate, discs, loss and edges."""
-
-    shape: Shape
-    discs: Discs
-    loss: Loss
-    edges: Edges
 
 
 class Reader:

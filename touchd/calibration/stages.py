@@ -123,9 +123,7 @@ class UntouchedModel:
         return found
 
     def _response(self, p: Floats) -> DiscResponse:
-        guess = self.reader.read(p)
-        held = (self._lines, guess.edges) if self._lines else None
-        return DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s, held)
+        return DiscResponse(self.plate, self.reader.read(p), self.nu_rad_s, self._lines)
 
     def _basis(self, waves: Complex) -> Floats:
         """Return the signals of waves (..., K, F) and of i times these, shape (..., 2 K, S)."""

@@ -58,7 +58,7 @@ class Worker:
         self, state: State, control: Path, target: Path, seconds: float, config: Path, handed: Path,
         bus: str | None = None,
     ) -> None:  # fmt: skip
-        self._state, self._control, self._target, self._seconds = state, control, target, seconds
+        self._state, self._control, self._seconds = state, control, seconds
         self._trial = Trial(state, target, control)
         self._config, self._handed, self._bus = config, handed, bus
         self._one = threading.Lock()
