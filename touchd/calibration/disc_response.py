@@ -10,8 +10,8 @@ vectors: `loads`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -84,14 +84,19 @@ class DiscResponse:
         units; and those of `names_of`.
         """
         found: dict[str, Complex] = {}
-        D = len(self._discs.centres_m)
-        for what, prefix in (("centres_m", ""), ("offset_m", "m")):
-            for i, axis in enumerate("xy"):
-                places = {f"{prefix}{axis}{k}": k for k in range(D)}
-                found |= self._by_place({name: places[name] for name in places if name in names}, what, i)
+        d, D = self._discs, len(self._discs.centres_m)
+        for what, axis in product(("centres_m", "offset_m"), (0, 1)):
+            prefix = ("m" if what == "offset_m" else "") + "xy"[axis]
+            wanted = [k for k in range(D) if f"{prefix}{k}" in names]
+            if not wanted:
+                continue
+            across = self._across(d, what, _PLACE_STEP_M, np.eye(2)[axis])
+            for k in wanted:
+                own = np.zeros_like(across)  # the other discs' vectors stay
+                own[:, k::D] = across[:, k::D]
+                found[f"{prefix}{k}"] = self._by_vectors(own)
         if "radius" in names:
-            d = self._discs
-            across = self._across(lambda by: (self._shape, d._replace(radius_m=d.radius_m + by)), 1e-3 * d.radius_m)
+            across = self._across(d, "radius_m", 1e-3 * d.radius_m)
             found["radius"] = self._by_vectors(across) + d.radius_m / 2 * self._weighed(self._by_face)
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
@@ -132,15 +137,17 @@ class DiscResponse:
         turns = [np.asarray(self._turn[:, :, d].T, np.complex128) for d in columns]
         return np.stack([self._H * _product(self._phi, turn) for turn in turns])
 
-    def _across(self, moved: Callable[[float], tuple[Shape, Discs]], step: float) -> Complex:
+    def _across(self, part: Shape | Discs, name: str, step: float, along: Floats | float = 1.0) -> Complex:
         """Return what the derivative of the discs' vectors finds of the answer to each disc, shape (F, MEANS D, D).
 
-        `moved` returns plate and discs changed by a number; they are moved by `step` both ways.
+        It is that by the field of this name of plate or discs, which is moved by `step` along a direction, both ways.
         """
-        one, other = (
-            disc_vectors(self._plate, (shape.width, shape.height), discs) for shape, discs in map(moved, (step, -step))
-        )
-        change = self._plate.turned((one - other) / (2 * step), self._bare)
+        ends = []
+        for by in (step, -step):
+            moved = part._replace(**{name: getattr(part, name) + by * along})
+            shape, discs = (moved, self._discs) if isinstance(moved, Shape) else (self._shape, moved)
+            ends.append(disc_vectors(self._plate, (shape.width, shape.height), discs))
+        change = self._plate.turned((ends[0] - ends[1]) / (2 * step), self._bare)
         return np.stack([_product(change.T, answer).T for answer in self._answers], axis=2)
 
     def _by_vectors(self, across: Complex) -> Complex:
@@ -151,21 +158,6 @@ class DiscResponse:
             e, r = self._G[:, k, 0, None], self._G[:, k, 1:]
             total -= load * (across[:, k, 0, None] * r + e * across[:, k, 1:])
         return np.asarray(total.T)
-
-    def _by_place(self, wanted: dict[str, int], what: str, axis: int) -> dict[str, Complex]:
-        """Return the derivatives by the centres of the wanted discs, or by their masses' offsets, along an axis."""
-        if not wanted:
-            return {}
-        d, along = self._discs, np.eye(2)[axis]
-        across = self._across(
-            lambda by: (self._shape, d._replace(**{what: getattr(d, what) + by * along})), _PLACE_STEP_M
-        )
-        found = {}
-        for name, k in wanted.items():
-            own = np.zeros_like(across)  # the other discs' vectors stay
-            own[:, k :: across.shape[2]] = across[:, k :: across.shape[2]]
-            found[name] = self._by_vectors(own)
-        return found
 
     def _by_plate(self, names: set[str]) -> dict[str, Complex]:
         """Return the derivatives by wave speed, thickness, Poisson's ratio, width, height and loss."""
@@ -203,13 +195,9 @@ class DiscResponse:
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
             if name in ("width", "height"):
-                total += self._by_vectors(self._across(self._resized(name), 1e-5 * value))
+                total += self._by_vectors(self._across(self._shape, name, 1e-5 * value))
             found[name] = total
         return found
-
-    def _resized(self, name: str) -> Callable[[float], tuple[Shape, Discs]]:
-        value = getattr(self._shape, name)
-        return lambda by: (self._shape._replace(**{name: value + by}), self._discs)
 
 
 def _product(real: Floats, other: Complex) -> Complex:
