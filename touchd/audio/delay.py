@@ -189,7 +189,10 @@ def _refine(
     gains = np.ones(len(known))
     for _ in range(_ROUNDS):
         aligned = moved(captured, -delay)[:, :samples]
-        model = _stretched(known, stretch, emission)
+        model = known
+        for _ in range(_STEPS if stretch else 0):
+            assert emission is not None  # else nothing is stretched
+            model = model + stretch / _STEPS * emission.bend(model)
         slope = _slope(model)[:, :samples]
         bent = emission.bend(model)[:, :samples] if emission is not None else slope
         model = model[:, :samples]
@@ -209,13 +212,6 @@ def _refine(
     share = 1 - float(np.square(error).sum() / max(np.square(aligned).sum(), 1e-30))
     size = np.sqrt(np.maximum(np.square(aligned).sum(axis=1) * norm, 1e-30))
     return delay, share, np.asarray(gains * norm / size)
-
-
-def _stretched(known: Floats, stretch: float, emission: _Emission | None) -> Floats:
-    for _ in range(_STEPS if stretch and emission is not None else 0):
-        assert emission is not None
-        known = known + stretch / _STEPS * emission.bend(known)
-    return known
 
 
 def _slope(signal: Floats) -> Floats:

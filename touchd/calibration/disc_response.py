@@ -81,7 +81,7 @@ class DiscResponse:
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
         `gyration2`, `radius`, `x0`, `y0`, `x1` .. of the discs' centres, `mx0` .. of their masses' offsets, in SI
-        units; and those of `names_of`.
+        units; and those of `Edges.values`.
         """
         found: dict[str, Complex] = {}
         d, D = self._discs, len(self._discs.centres_m)

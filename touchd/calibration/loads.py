@@ -105,7 +105,7 @@ class Edges(NamedTuple):
     kinds: dict[str, str]
     """What holds each side that is not free, in the order of `SIDES`."""
     values: dict[str, float]
-    """Values by name, of `names_of`."""
+    """Values by name, for example `left damping`."""
     middle_rad_s: float
 
     def turned(self, orientation: int) -> Edges:
@@ -152,11 +152,6 @@ class Lines(NamedTuple):
             stiffness, damping = (max(edges.values[f"{side} {kind}"], 0.0) for kind in KINDS[:2])
             found += edges.middle_rad_s**2 * (stiffness + 0.5j * damping) * weight
         return found
-
-
-def names_of(kinds: dict[str, str]) -> tuple[str, ...]:
-    """Return the names of the unknowns of held sides, for example `left damping`."""
-    return tuple(f"{side} {kind}" for side in kinds for kind in KINDS)
 
 
 def lines_along(plate: ReducedPlate, kinds: dict[str, str]) -> Lines:

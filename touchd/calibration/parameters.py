@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Guess, Loss, names_of
+from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Guess, Loss
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Floats, Shape, shape_of
 from touchd.frame import Acquisition, Chirp, Plate
@@ -109,8 +109,8 @@ class Reader:
         """Names of the offsets of their masses."""
         self.held = held_sides(said)
         """What holds each side that is not free."""
-        self.edges = names_of(self.held)
-        """Names of the edges' unknowns."""
+        self.edges = tuple(f"{side} {kind}" for side in self.held for kind in KINDS)
+        """Names of the edges' unknowns, for example `left damping`."""
         self._plate, self._layout = said.twin_plate(), said.layout()
         self._said = shape_of(self._plate)
         lever_mm = (said.plate.thickness_mm + DISC_THICKNESS_MM) / 2
@@ -150,11 +150,8 @@ class Reader:
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
             "stiffness": ("stiffness", STIFFNESS_M3), "gyration": ("gyration2", self._gyration2_m2),
         }  # fmt: skip
-        return (
-            found
-            | {name: (name, 1.0) for name in self.edges}
-            | {name: (name, 1e-3) for name in (*self.places, *self.offsets)}
-        )
+        found |= {name: (name, 1.0) for name in self.edges}
+        return found | {name: (name, 1e-3) for name in (*self.places, *self.offsets)}
 
     def plate(self, p: Floats) -> ElasticPlate:
         """Return the plate of a vector, its sides to a micrometre, as models describe them.
