@@ -158,10 +158,12 @@ def lines_along(plate: ReducedPlate, kinds: dict[str, str]) -> Lines:
     """Return the lines along held edges of a plate of the reference's size."""
     size = plate.reference.width, plate.reference.height
     unit = np.sqrt(size[0] * size[1])
-    vectors, weights, owners = list[Floats](), [np.zeros(0)], []
+    vectors, owners, shares = list[Floats](), list[str](), dict[str, float]()
     for side, kind in kinds.items():
         axis, depths = SIDES.index(side) // 2, depths_mm(kind)
         count = plate.counts[1 - axis] - FEWER
+        shares[side] = WIDTH_MM * 1e-3 / size[axis] / len(depths)
+        owners += [side] * count * len(depths)
         for depth_mm in depths:
             at_m = 1e-3 * depth_mm if side in ("left", "top") else size[axis] - 1e-3 * depth_mm
             # The polynomials along the line are orthonormal over its length.
@@ -170,10 +172,8 @@ def lines_along(plate: ReducedPlate, kinds: dict[str, str]) -> Lines:
             for k, one in enumerate(line):
                 one.swapaxes(0, axis)[:, k] = across
             vectors.append(unit / np.sqrt(size[1 - axis]) * plate.sums(0, line))
-            weights.append(np.full(count, WIDTH_MM * 1e-3 / size[axis] / len(depths)))
-            owners += [side] * count
-    every, owner = np.concatenate(weights), np.array(owners)
-    return Lines(np.concatenate(vectors, axis=1), {side: every * (owner == side) for side in kinds})
+    owner = np.array(owners)
+    return Lines(np.concatenate(vectors, axis=1), {side: share * (owner == side) for side, share in shares.items()})
 
 
 def depths_mm(kind: str) -> list[float]:
