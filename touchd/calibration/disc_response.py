@@ -117,15 +117,12 @@ class DiscResponse:
         """
         V, F = vectors.shape[1], len(self._nu)
         found = np.zeros((V, V, F), dtype=complex)
-        kernel = self._H.view(float)  # real and imaginary parts side by side: one real product does for both
-        start = 0
-        for turn in self._bare.turns:
-            part = slice(start, start := start + len(turn))
-            some = vectors[part].T
-            there = np.flatnonzero(np.abs(some).max(axis=1) > ABSENT * np.abs(vectors).max(axis=0))
-            some = some[there]
+        kernels = self._plate.to_classes(self._H.view(float))  # both parts side by side: one real product does
+        for own, kernel in zip(self._plate.to_classes(vectors), kernels, strict=True):
+            there = np.flatnonzero(np.abs(own).max(axis=0) > ABSENT * np.abs(vectors).max(axis=0))
+            some = own.T[there]
             for i, row in enumerate(there):
-                found[row, there[i:]] += ((some[i] * some[i:]) @ kernel[part]).view(complex)
+                found[row, there[i:]] += ((some[i] * some[i:]) @ kernel).view(complex)
         lower = np.tril_indices(V, -1)
         found[lower] = found[lower[::-1]]
         return np.ascontiguousarray(found.transpose(2, 0, 1))
@@ -183,15 +180,13 @@ class DiscResponse:
                 found[name] = -strain / value
                 continue
             total = np.zeros((D - 1, len(self._nu)), dtype=complex)
-            start = 0
-            slopes = self._plate.slopes(self._shape, name)
-            for (K, spin), turn, each in zip(slopes, self._bare.turns, self._plate.classes, strict=True):
-                part = slice(start, start := start + len(turn))
+            slopes, parts = self._plate.slopes(self._shape, name), self._plate.to_classes(x.swapaxes(0, 1))
+            for (K, spin), turn, each, own in zip(slopes, self._bare.turns, self._plate.classes, parts, strict=True):
                 K = turn.T @ K @ turn
-                y = stiff * _product(K, x[0, part])
+                y = stiff * _product(K, own[:, 0])
                 if spin:
-                    y -= self._nu**2 * spin * _product(turn.T @ each.rotary @ turn, x[0, part])
-                total -= np.stack([(y * x[r, part]).sum(axis=0) for r in range(1, D)])
+                    y -= self._nu**2 * spin * _product(turn.T @ each.rotary @ turn, own[:, 0])
+                total -= np.stack([(y * own[:, r]).sum(axis=0) for r in range(1, D)])
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
             if name in ("width", "height"):

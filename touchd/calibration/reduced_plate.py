@@ -10,7 +10,7 @@ Energies are per mass of the plate: a mode has the mass 1 if it carries the plat
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from touchd.twin.physics.transducer import Layout, LoadedModes, vectors_of, with
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Array = TypeVar("Array", Floats, Complex)
 
 BASIS, BASIS_OF_MANY = 3.0, 1.8
 """Modes up to this many times the highest frequency are the basis; fewer where a plate has thousands."""
@@ -151,7 +152,7 @@ class ReducedPlate:
         split = self.to_classes(values)
         return np.concatenate([turn.T @ part for turn, part in zip(bare.turns, split, strict=True)])
 
-    def to_classes(self, values: Floats) -> list[Floats]:
+    def to_classes(self, values: Array) -> list[Array]:
         """Split values of the reference's modes, shape (n, ...), by class."""
         return np.split(values, np.cumsum([len(each.rotary) for each in self.classes])[:-1])
 
