@@ -130,9 +130,7 @@ class DiscResponse:
     @cached_property
     def _answers(self) -> Complex:
         """The loaded plate's answer to each disc's rotation in its free modes, shape (D, n, F)."""
-        columns = range(self._turn.shape[2])
-        turns = [np.asarray(self._turn[:, :, d].T, np.complex128) for d in columns]
-        return np.stack([self._H * _product(self._phi, turn) for turn in turns])
+        return np.stack([self._H * _product(self._phi, turn) for turn in self._turn.transpose(2, 1, 0)])
 
     def _across(self, part: Shape | Discs, name: str, step: float, along: Floats | float = 1.0) -> Complex:
         """Return what the derivative of the discs' vectors finds of the answer to each disc, shape (F, MEANS D, D).
