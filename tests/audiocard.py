@@ -11,8 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.audio.card import CardAbsent, CardGone, CardXrun, Samples
-from touchd.audio.waveform import loop_of, moved
+from touchd.audio.card import CardAbsent, CardGone, CardXrun, Samples, loop_of, moved
 from touchd.frame import Acquisition, Chirp
 
 Floats = NDArray[np.float64]

@@ -43,19 +43,9 @@ _LIBRARY.snd_lib_error_set_handler(_LIBRARY.labs)
 
 
 class AlsaCard:
-    """An open ALSA card.
+    """An open ALSA card with at least so many `inputs`; `name` is as `arecord -L` lists it: `hw:CARD=...`.
 
-    Parameters
-    ----------
-    name : str
-        As `arecord -L` lists it; `hw:CARD=...` does not resample.
-    inputs : int
-        How many are needed; the card may have more.
-
-    Raises
-    ------
-    CardAbsent
-        There is no such card, another program uses it, or it lacks rate or inputs.
+    Raises CardAbsent if there is no such card, another program uses it, or it lacks rate or inputs.
     """
 
     def __init__(self, name: str, rate_hz: int, inputs: int) -> None:
@@ -154,7 +144,10 @@ class AlsaCard:
             stream.close()
         else:
             raise CardAbsent(f"{self.name} has no format of whole numbers")
-        if (wrong := _misfit(info, self.rate_hz, channels)) is not None:
+        wrong = f"has {info['channels']} channels, not {channels}" if info["channels"] < channels else ""
+        if info["rate"] != self.rate_hz:
+            wrong = f"takes {info['rate']} samples a second, not {self.rate_hz}: set another audio.sample_rate_hz"
+        if wrong:
             stream.close()
             raise CardAbsent(f"{self.name} {wrong}")
         return stream
@@ -167,14 +160,6 @@ def _check_opens(name: str, kind: int) -> None:
     if error < 0:
         raise CardAbsent(_explain(os.strerror(-error), name))
     _LIBRARY.snd_pcm_close(stream)
-
-
-def _misfit(info: dict[str, Any], rate_hz: int, channels: int) -> str | None:
-    if info["rate"] != rate_hz:
-        return f"takes {info['rate']} samples a second, not {rate_hz}: set another audio.sample_rate_hz"
-    if info["channels"] < channels:
-        return f"has {info['channels']} channels, not {channels}"
-    return None
 
 
 def _upper(data: bytes, length: int, channels: int, width: int) -> Samples:
@@ -194,15 +179,11 @@ def _explain(text: str, name: str) -> str:
     """Return what ALSA says, with what it means."""
     if "busy" in text:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
-    hidden = "No such" in text and _is_hidden(name)
+    named = re.search(r"CARD=([^,]+)", name)
+    # There, but not for this user.
+    hidden = "No such" in text and named and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()
     if hidden or "Permission denied" in text:
         return f"{name} is there, but may not be opened: join the group audio; a service needs audio.conf"
     if "No such" in text:  # file, or device
         return f"there is no {name}: plug it in; arecord -L lists what is there"
     return text
-
-
-def _is_hidden(name: str) -> bool:
-    """Return whether a card is there, but not for this user."""
-    named = re.search(r"CARD=([^,]+)", name)
-    return named is not None and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()

@@ -1,4 +1,7 @@
-"""What a source needs from an audio interface, and what may happen to it: the seam below which a library stands."""
+"""What a source needs from an audio interface, the seam below which a library stands; and what it plays.
+
+That is the chirp once a period, moved by a fraction of a sample.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,9 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from touchd.chirp import waveform
+from touchd.frame import Chirp
 
 Floats = NDArray[np.float64]
 Samples = NDArray[np.int16]
@@ -35,10 +41,7 @@ class Card(Protocol):
     def start(self, loop: Floats) -> None:
         """Play a loop from its first sample on, again and again, and capture; stop what was played before.
 
-        Parameters
-        ----------
-        loop : array of shape (period,)
-            For all outputs, relative to full scale, -1..1.
+        It has the shape (period,), and is for all outputs, relative to full scale, -1..1.
         """
 
     def play(self, loop: Floats) -> None:
@@ -47,13 +50,26 @@ class Card(Protocol):
     def exchange(self, timeout_s: float) -> Samples | None:
         """Return the samples captured next, shape (n, inputs), relative to 2^15; None if none come in time.
 
-        They are a view that is valid until the next call. Each call plays as much as it captures.
-
-        Raises
-        ------
-        CardXrun
-            Call `start`.
+        They are a view that is valid until the next call. Each call plays as much as it captures. Raises CardXrun: call
+        `start`.
         """
 
     def close(self) -> None:
         """Release the card; never fails."""
+
+
+def loop_of(chirp: Chirp, rate_hz: float, period: int, level_dbfs: float) -> Floats:
+    """Return a period of what is played, shape (period,), with the chirp at its start."""
+    played = waveform(chirp.model_copy(update={"dac_rate_hz": rate_hz}))
+    loop = np.zeros(period)
+    loop[: len(played)] = played
+    return loop * 10 ** (level_dbfs / 20)
+
+
+def moved(loop: Floats, samples: float) -> Floats:
+    """Return periodic signals, (..., period), later by a number of samples, whole or not."""
+    turns = np.fft.rfftfreq(loop.shape[-1]) * samples
+    spectrum = np.fft.rfft(loop) * np.exp(-2j * np.pi * turns)
+    if loop.shape[-1] % 2 == 0:
+        spectrum[..., -1] = spectrum[..., -1].real
+    return np.asarray(np.fft.irfft(spectrum, loop.shape[-1]))

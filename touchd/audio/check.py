@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.audio.capture import PASSED, check_band
 from touchd.audio.card import Card, CardXrun, Floats, Samples
 from touchd.audio.delay import Doubtful, by_loopback
-from touchd.audio.response import PASSED, check_band
 
 PERIOD_S = 0.25
 """Of what is played: longer than any delay."""
@@ -105,28 +105,17 @@ def hear(card: Card, loop: Floats) -> Floats:
 def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progress: Progress = str) -> Checked:
     """Measure a card.
 
-    Parameters
-    ----------
-    restarts : int
-        How many starts tell how stable the delay is.
-    seconds : float
-        For which xruns are counted, and the sample rate is measured.
-    level_dbfs : float
-        Of the sweep.
-    progress : callable
-        Told what is measured next.
-
-    Raises
-    ------
-    Doubtful
-        No input hears the output, or samples are lost again and again.
-    CardGone
+    `restarts` starts tell how stable the delay is; in `seconds` xruns are counted, and the sample rate is measured.
+    `level_dbfs` is that of the sweep, and `progress` receives what is measured next. Raises Doubtful if no input hears
+    the output, or samples are lost again and again; CardGone.
     """
     period = round(PERIOD_S * card.rate_hz)
     progress("noise")
     noise = hear(card, np.zeros(period))
     progress("response")
-    sweep = _sweep(period, card.rate_hz) * 10 ** (level_dbfs / 20)
+    t = np.arange(period) / card.rate_hz
+    # Periodic, of constant amplitude over all that converters pass.
+    sweep = np.sin(np.pi * (PASSED * card.rate_hz) / t[-1] * t**2) * 10 ** (level_dbfs / 20)
     heard = hear(card, sweep).mean(axis=0)
     power = np.square(heard).sum(axis=1)
     cable = int(np.argmax(power))
@@ -152,13 +141,6 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     progress(f"xruns in {seconds:g} s")
     _take_time(found, card, sweep, seconds)
     return found
-
-
-def _sweep(period: int, rate_hz: float) -> Floats:
-    """Return a periodic sweep of constant amplitude over all that converters pass."""
-    t = np.arange(period) / rate_hz
-    top_hz = PASSED * rate_hz
-    return np.asarray(np.sin(np.pi * top_hz / t[-1] * t**2))
 
 
 def _take_response(found: Checked, heard: Floats, sweep: Floats, noise: Floats) -> None:

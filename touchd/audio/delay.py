@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchd.audio.card import Floats
-from touchd.audio.waveform import moved
+from touchd.audio.card import Floats, moved
 from touchd.frame import Chirp
 
 GOOD = 0.5
@@ -98,19 +97,10 @@ def check_discs(captured: Floats, reference: Floats | None) -> None:
 def by_reference(captured: Floats, reference: Floats, chirp: Chirp, rate_hz: float) -> Delay:
     """Return the delay of the plate's response by that which the model was made from.
 
-    Gains and the plate's temperature may be others.
+    `captured`, (channels, period), is the mean of some periods, ADC counts; `reference`, (channels, samples), has the
+    chirp's start at sample 0. Gains and the plate's temperature may be others.
 
-    Parameters
-    ----------
-    captured : array of shape (channels, period)
-        The mean of some periods, ADC counts.
-    reference : array of shape (channels, samples)
-        With the chirp's start at sample 0.
-
-    Raises
-    ------
-    Doubtful
-        Nothing is heard, the plate is another, channels are swapped, or two delays fit as well.
+    Raises Doubtful if nothing is heard, the plate is another, channels are swapped, or two delays fit as well.
     """
     return _find(captured, reference, _Emission(chirp, rate_hz, captured.shape[1]), _PLATE)
 
@@ -199,7 +189,10 @@ def _refine(
     gains = np.ones(len(known))
     for _ in range(_ROUNDS):
         aligned = moved(captured, -delay)[:, :samples]
-        model = _stretched(known, stretch, emission)
+        model = known
+        for _ in range(_STEPS if stretch else 0):
+            assert emission is not None  # else nothing is stretched
+            model = model + stretch / _STEPS * emission.bend(model)
         slope = _slope(model)[:, :samples]
         bent = emission.bend(model)[:, :samples] if emission is not None else slope
         model = model[:, :samples]
@@ -219,13 +212,6 @@ def _refine(
     share = 1 - float(np.square(error).sum() / max(np.square(aligned).sum(), 1e-30))
     size = np.sqrt(np.maximum(np.square(aligned).sum(axis=1) * norm, 1e-30))
     return delay, share, np.asarray(gains * norm / size)
-
-
-def _stretched(known: Floats, stretch: float, emission: _Emission | None) -> Floats:
-    for _ in range(_STEPS if stretch and emission is not None else 0):
-        assert emission is not None
-        known = known + stretch / _STEPS * emission.bend(known)
-    return known
 
 
 def _slope(signal: Floats) -> Floats:

@@ -11,8 +11,7 @@ import struct
 from collections.abc import Mapping
 
 from touchd.bridges.area import Area, Place
-from touchd.bridges.bridge import Output
-from touchd.bridges.following import Down
+from touchd.bridges.bridge import Down, Output
 
 CURSOR, BLOB = "/tuio/2Dcur", "/tuio/2Dblb"
 _FSEQ_MAX = 0x7FFFFFFF

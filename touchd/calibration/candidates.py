@@ -15,13 +15,10 @@ from numpy.typing import NDArray
 from touchd.calibration.loads import SIDES
 from touchd.calibration.parameters import Reader, held_sides
 from touchd.calibration.plate_file import Edges, PlateFile
-from touchd.calibration.reduced_plate import ReducedPlate
-from touchd.calibration.stages import WHOLE, State, descend, window_of
+from touchd.calibration.reduced_plate import Floats, ReducedPlate
+from touchd.calibration.stages import WHOLE, State, UntouchedModel, descend, window_of
 from touchd.calibration.untouched import Untouched
-from touchd.calibration.untouched_model import UntouchedModel
 from touchd.twin.physics.material import MATERIALS
-
-Floats = NDArray[np.float64]
 
 THICKNESSES_MM = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
 """What is sold."""
@@ -68,7 +65,7 @@ def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
     held = Reader(taped, a)
     p = held.start.copy()
     p[held.index(Reader(said, a).names)] = state.p
-    left = descend(UntouchedModel(plate, held, a), untouched, p, held.edges, WHOLE, 2).left / state.left
+    left = descend(UntouchedModel(plate, held, untouched), p, held.edges, WHOLE, 2).left / state.left
     what = "tape or pads along the edges fit: say in PLATE.toml which edge is held"
     return [Candidate(taped, what, left)] if left < BETTER else []
 
@@ -112,13 +109,13 @@ def _misfits(said: PlateFile, untouched: Untouched) -> Floats:
     chirp = untouched.acquisition.chirp
     low, high = chirp.band_hz
     plate = ReducedPlate(reader.plate(reader.start), low + HIGHEST * (high - low))
-    model = UntouchedModel(plate, reader, untouched.acquisition)
-    window = window_of(untouched.mean.shape[1], FIRST_SHARE)
+    model = UntouchedModel(plate, reader, untouched)
+    window = window_of(model, FIRST_SHARE)
     found = []
     for speed in SPEEDS:
         p = reader.start.copy()
         p[reader.index(("speed",))] += speed
-        found.append(model.pair_misfits(p, untouched.mean, window))
+        found.append(model.pair_misfits(p, window))
     return np.array(found)
 
 
@@ -139,14 +136,11 @@ def _try(said: PlateFile, what: str, misfits: Floats, live: NDArray[np.intp]) ->
     discs = said.discs.model_copy(
         update={"emitter_mm": places[best_order[0]], "receivers_mm": tuple(places[k] for k in best_order[1:])}
     )
-    named = "; ".join(filter(None, (what, _wiring(best_order))))
+    names = ["the emitter", *(f"receiver {c}" for c in range(1, len(places)))]
+    wrong = ", ".join(f"{names[i]} at the place of {names[k]}" for i, k in enumerate(best_order) if i != k)
+    wiring = f"swapped cables fit: {wrong}; swap them, or correct PLATE.toml"
+    named = f"{what}; {wiring}" if what else wiring
     return Candidate(said.model_copy(update={"discs": discs}), named, left[best_order])
-
-
-def _wiring(order: tuple[int, ...]) -> str:
-    names = ["the emitter", *(f"receiver {c}" for c in range(1, len(order)))]
-    wrong = [f"{names[i]} at the place of {names[k]}" for i, k in enumerate(order) if i != k]
-    return f"swapped cables fit: {', '.join(wrong)}; swap them, or correct PLATE.toml"
 
 
 def _orders(count: int) -> list[tuple[int, ...]]:

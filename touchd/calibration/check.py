@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchd.calibration.reduced_plate import Floats
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch, RecordingValues
 from touchd.evaluation.dataset import complex_bins
@@ -27,8 +27,6 @@ from touchd.localization.spline import Position
 from touchd.pipeline import Pipeline
 from touchd.service.runner import frames_of
 from touchd.sources.replay import ReplaySource
-
-Floats = NDArray[np.float64]
 
 STEPS = 6
 DEAD = 0.01
@@ -81,12 +79,8 @@ class Checked:
 def check_model(path: Path, recording: Path) -> Checked:
     """Judge the model at `path` by the touches of a recording.
 
-    Raises
-    ------
-    ModelMismatch
-        The model has no field atlas, or is made for another acquisition.
-    RecordingValues
-        The recording has too few touches.
+    Raises ModelMismatch if the model has no field atlas, or is made for another acquisition; RecordingValues if the
+    recording has too few touches.
     """
     model = Model(path)
     if model.atlas is None:
@@ -111,9 +105,7 @@ def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, f
     alive: dict[int, tuple[float, float]] = {}
     touches = settled = 0
     with closing(source):
-        for frame in frames_of(source):
-            if frame is None:
-                continue
+        for frame in filter(None, frames_of(source)):
             result = pipeline.process(frame)
             before = set(alive)
             for contact in result.contacts:

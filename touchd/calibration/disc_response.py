@@ -11,16 +11,13 @@ vectors: `loads`.
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchd.calibration.loads import LEAST_RATIO, Discs, Edges, Lines, Loss, disc_vectors
-from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape
+from touchd.calibration.loads import LEAST_RATIO, Discs, Guess, Lines, disc_vectors
+from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, ReducedPlate, Shape
 from touchd.twin.physics.transducer import MEANS, OTHER_BENDING
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _PLACE_STEP_M = 1e-6
 ABSENT = 1e-9
@@ -30,49 +27,35 @@ ABSENT = 1e-9
 class DiscResponse:
     """Response of a plate with D discs at complex angular frequencies: F frequencies, R receivers, V vectors.
 
-    `nu_rad_s` has shape (F,); `held` is what holds the sides.
+    `nu_rad_s` has shape (F,); without `lines` no side is held.
     """
 
-    def __init__(
-        self,
-        plate: ReducedPlate,
-        shape: Shape,
-        discs: Discs,
-        loss: Loss,
-        nu_rad_s: Complex,
-        held: tuple[Lines, Edges] | None = None,
-    ) -> None:
-        self._plate, self._shape, self._discs, self._loss, self._nu = plate, shape, discs, loss, nu_rad_s
-        self._held = held
+    def __init__(self, plate: ReducedPlate, guess: Guess, nu_rad_s: Complex, lines: Lines | None = None) -> None:
+        self._plate, self._nu, self._lines = plate, nu_rad_s, lines
+        self._shape, self._discs, self._loss, self._edges = shape, discs, loss, edges = guess
         self._bare = plate.solve(shape)
         vectors = disc_vectors(plate, (shape.width, shape.height), discs)
-        every = np.concatenate([vectors, held[0].vectors], axis=1) if held else vectors
+        every = np.concatenate([vectors, lines.vectors], axis=1) if lines else vectors
         self._phi = plate.turned(every, self._bare)
         stiff: Complex = np.asarray(1 + 1j * loss.at(nu_rad_s), np.complex128)
         self._H = 1 / (self._bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
         D = len(discs.centres_m)
         volume = shape.h * shape.width * shape.height
+        spring, inert = shape.speed2 / volume * stiff[:, None], -(nu_rad_s[:, None] ** 2) / volume
         # Loads of the discs' vectors per mass of the plate, by what they are proportional to, shape (F, MEANS D).
-        zero, one = np.zeros((len(nu_rad_s), D)), np.ones((len(nu_rad_s), D))
-        spring = shape.speed2 / volume * stiff[:, None] * one
-        inert = -(nu_rad_s[:, None] ** 2) / volume * one
-        self._per_stiffness = np.concatenate([spring, *[OTHER_BENDING * spring] * 2, *[zero] * 5], axis=1)
-        rolling = discs.lever2_m2 * inert
-        tilting = discs.spread * inert
-        self._per_mass = np.concatenate([*[zero] * 3, inert, rolling, rolling, tilting, tilting], axis=1)
-        heavy = discs.mass_kg_m3 * inert
-        rolls = [*[zero] * 4, heavy, heavy, zero, zero]
-        tilts = [*[zero] * 6, heavy / discs.face_m2, heavy / discs.face_m2]
-        lifted = discs.lever2_m2 > 0
-        self._per_gyration2 = np.concatenate(rolls if lifted else tilts, axis=1)
+        other, lever2, spread = OTHER_BENDING, discs.lever2_m2, discs.spread
+        self._per_stiffness = spring * np.repeat([1, other, other, 0, 0, 0, 0, 0], D)
+        self._per_mass = inert * np.repeat([0, 0, 0, 1, lever2, lever2, spread, spread], D)
+        heavy, lifted = discs.mass_kg_m3 * inert, lever2 > 0
+        rolls, tilts = np.repeat([0, 0, 0, 0, 1, 1, 0, 0], D), np.repeat([0, 0, 0, 0, 0, 0, 1, 1], D)
+        self._per_gyration2 = heavy * rolls if lifted else heavy / discs.face_m2 * tilts
         # A wider disc of the same gyration rolls less, and its slopes are means over a wider face.
         self._by_face = self._per_gyration2 * (1.0 if lifted else discs.spread)
         self._stiff_load = discs.stiffness_m3 * self._per_stiffness
         self._disc_load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
         self._load = self._disc_load  # (F, V)
         self._per_edge: dict[str, Complex] = {}
-        if held:
-            lines, edges = held
+        if lines:
             self._per_edge = lines.loads(edges.middle_rad_s, nu_rad_s, stiff)
             total = sum(max(edges.values[name], 0.0) * load for name, load in self._per_edge.items())
             self._load = np.concatenate([self._load, total], axis=1)
@@ -98,19 +81,23 @@ class DiscResponse:
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
         `gyration2`, `radius`, `x0`, `y0`, `x1` .. of the discs' centres, `mx0` .. of their masses' offsets, in SI
-        units; and those of `names_of`.
+        units; and those of `Edges.values`.
         """
         found: dict[str, Complex] = {}
-        D = len(self._discs.centres_m)
-        for what, prefix in (("centres_m", ""), ("offset_m", "m")):
-            moves = {f"{prefix}{axis}{k}": (k, i) for k in range(D) for i, axis in enumerate("xy")}
-            found.update(self._by_place({name: moves[name] for name in moves if name in names}, what))
+        d, D = self._discs, len(self._discs.centres_m)
+        for what, axis in product(("centres_m", "offset_m"), (0, 1)):
+            prefix = ("m" if what == "offset_m" else "") + "xy"[axis]
+            wanted = [k for k in range(D) if f"{prefix}{k}" in names]
+            if not wanted:
+                continue
+            across = self._across(d, what, _PLACE_STEP_M, np.eye(2)[axis])
+            for k in wanted:
+                own = np.zeros_like(across)  # the other discs' vectors stay
+                own[:, k::D] = across[:, k::D]
+                found[f"{prefix}{k}"] = self._by_vectors(own)
         if "radius" in names:
-            d = self._discs
-            step = 1e-3 * d.radius_m
-            up, down = ((self._shape, d._replace(radius_m=d.radius_m + each)) for each in (step, -step))
-            change = self._difference(up, down, step)
-            found["radius"] = self._by_vectors(change) + d.radius_m / 2 * self._weighed(self._by_face)
+            across = self._across(d, "radius_m", 1e-3 * d.radius_m)
+            found["radius"] = self._by_vectors(across) + d.radius_m / 2 * self._weighed(self._by_face)
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
         found |= {name: -self._weighed(load, MEANS * D) for name, load in self._per_edge.items() if name in names}
@@ -130,15 +117,12 @@ class DiscResponse:
         """
         V, F = vectors.shape[1], len(self._nu)
         found = np.zeros((V, V, F), dtype=complex)
-        kernel = self._H.view(float)  # real and imaginary parts side by side: one real product does for both
-        start = 0
-        for turn in self._bare.turns:
-            part = slice(start, start := start + len(turn))
-            some = vectors[part].T
-            there = np.flatnonzero(np.abs(some).max(axis=1) > ABSENT * np.abs(vectors).max(axis=0))
-            some = some[there]
+        kernels = self._plate.to_classes(self._H.view(float))  # both parts side by side: one real product does
+        for own, kernel in zip(self._plate.to_classes(vectors), kernels, strict=True):
+            there = np.flatnonzero(np.abs(own).max(axis=0) > ABSENT * np.abs(vectors).max(axis=0))
+            some = own.T[there]
             for i, row in enumerate(there):
-                found[row, there[i:]] += ((some[i] * some[i:]) @ kernel[part]).view(complex)
+                found[row, there[i:]] += ((some[i] * some[i:]) @ kernel).view(complex)
         lower = np.tril_indices(V, -1)
         found[lower] = found[lower[::-1]]
         return np.ascontiguousarray(found.transpose(2, 0, 1))
@@ -146,57 +130,29 @@ class DiscResponse:
     @cached_property
     def _answers(self) -> Complex:
         """The loaded plate's answer to each disc's rotation in its free modes, shape (D, n, F)."""
-        columns = range(self._turn.shape[2])
-        turns = [np.asarray(self._turn[:, :, d].T, np.complex128) for d in columns]
-        return np.stack([self._H * _product(self._phi, turn) for turn in turns])
+        return np.stack([self._H * _product(self._phi, turn) for turn in self._turn.transpose(2, 1, 0)])
 
-    def _across(self, change: Floats) -> Complex:
-        """Return what vectors (n, k) find of the loaded plate's answer to each disc, shape (F, k, D)."""
+    def _across(self, part: Shape | Discs, name: str, step: float, along: Floats | float = 1.0) -> Complex:
+        """Return what the derivative of the discs' vectors finds of the answer to each disc, shape (F, MEANS D, D).
+
+        It is that by the field of this name of plate or discs, which is moved by `step` along a direction, both ways.
+        """
+        ends = []
+        for by in (step, -step):
+            moved = part._replace(**{name: getattr(part, name) + by * along})
+            shape, discs = (moved, self._discs) if isinstance(moved, Shape) else (self._shape, moved)
+            ends.append(disc_vectors(self._plate, (shape.width, shape.height), discs))
+        change = self._plate.turned((ends[0] - ends[1]) / (2 * step), self._bare)
         return np.stack([_product(change.T, answer).T for answer in self._answers], axis=2)
 
-    def _difference(self, up: tuple[Shape, Discs], down: tuple[Shape, Discs], step: float) -> Floats:
-        """Return the derivative of the discs' vectors from two plates that differ by two steps."""
-        one, other = (disc_vectors(self._plate, (shape.width, shape.height), discs) for shape, discs in (up, down))
-        return self._plate.turned((one - other) / (2 * step), self._bare)
-
-    def _by_vectors(self, change: Floats) -> Complex:
-        """Return the derivative (R, F) by a change of all discs' vectors, shape (n, MEANS D)."""
-        D = len(self._discs.centres_m)
-        across = self._across(change)
-        total = across[:, 0, 1:] + across[:, 1:D, 0]
-        self._load_changed(total, across, range(MEANS * D))
-        return np.asarray(total.T)
-
-    def _load_changed(self, total: Complex, across: Complex, vectors: range) -> None:
-        """Subtract from `total` (F, R) what the loads of changed vectors take, which find `across` of the answers."""
-        for k in vectors:
+    def _by_vectors(self, across: Complex) -> Complex:
+        """Return the derivative (R, F) by a change of discs' vectors that find `across` of the answers."""
+        total = across[:, 0, 1:] + across[:, 1 : across.shape[2], 0]
+        for k in np.flatnonzero(across.any(axis=(0, 2))):
             load = self._load[:, k, None]
             e, r = self._G[:, k, 0, None], self._G[:, k, 1:]
             total -= load * (across[:, k, 0, None] * r + e * across[:, k, 1:])
-
-    def _by_place(self, wanted: dict[str, tuple[int, int]], what: str) -> dict[str, Complex]:
-        """Return the derivatives by the discs' centres, or their masses' offsets: only one disc's vectors change."""
-        if not wanted:
-            return {}
-        d, D = self._discs, len(self._discs.centres_m)
-        found: dict[str, Complex] = {}
-        for axis in {axis for _, axis in wanted.values()}:
-            step = np.zeros(2)
-            step[axis] = _PLACE_STEP_M
-            up, down = ((self._shape, d._replace(**{what: getattr(d, what) + sign * step})) for sign in (1, -1))
-            change = self._difference(up, down, _PLACE_STEP_M)
-            across = self._across(change)
-            for name, (k, along) in wanted.items():
-                if along != axis:
-                    continue
-                total = np.zeros((len(self._nu), D - 1), dtype=complex)
-                if k == 0:
-                    total += across[:, 0, 1:]
-                else:
-                    total[:, k - 1] += across[:, k, 0]
-                self._load_changed(total, across, range(k, MEANS * D, D))
-                found[name] = total.T
-        return found
+        return np.asarray(total.T)
 
     def _by_plate(self, names: set[str]) -> dict[str, Complex]:
         """Return the derivatives by wave speed, thickness, Poisson's ratio, width, height and loss."""
@@ -208,9 +164,9 @@ class DiscResponse:
         strain = np.stack([(x[0] * squares * x[r]).sum(axis=0) for r in range(1, D)])
         strain = stiff * strain + self._weighed(self._stiff_load)
         by_loss = -1j * self._loss.at(self._nu) / stiff * strain
-        if self._held:
-            lines, edges = self._held
-            elastic = np.broadcast_to(lines.elastic(edges), (len(self._nu), lines.vectors.shape[1]))
+        if self._lines:
+            elastic = self._lines.elastic(self._edges)
+            elastic = np.broadcast_to(elastic, (len(self._nu), elastic.shape[1]))
             by_loss -= 1j * self._loss.at(self._nu) * self._weighed(elastic, MEANS * D)
         if "loss" in names:
             found["loss"] = by_loss
@@ -222,21 +178,17 @@ class DiscResponse:
                 found[name] = -strain / value
                 continue
             total = np.zeros((D - 1, len(self._nu)), dtype=complex)
-            start = 0
-            slopes = self._plate.slopes(self._shape, name)
-            for (K, spin), turn, each in zip(slopes, self._bare.turns, self._plate.classes, strict=True):
-                part = slice(start, start := start + len(turn))
+            slopes, parts = self._plate.slopes(self._shape, name), self._plate.to_classes(x.swapaxes(0, 1))
+            for (K, spin), turn, each, own in zip(slopes, self._bare.turns, self._plate.classes, parts, strict=True):
                 K = turn.T @ K @ turn
-                y = stiff * _product(K, x[0, part])
+                y = stiff * _product(K, own[:, 0])
                 if spin:
-                    y -= self._nu**2 * spin * _product(turn.T @ each.rotary @ turn, x[0, part])
-                total -= np.stack([(y * x[r, part]).sum(axis=0) for r in range(1, D)])
+                    y -= self._nu**2 * spin * _product(turn.T @ each.rotary @ turn, own[:, 0])
+                total -= np.stack([(y * own[:, r]).sum(axis=0) for r in range(1, D)])
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
             if name in ("width", "height"):
-                step = 1e-5 * value
-                up, down = ((self._shape._replace(**{name: value + each}), self._discs) for each in (step, -step))
-                total += self._by_vectors(self._difference(up, down, step))
+                total += self._by_vectors(self._across(self._shape, name, 1e-5 * value))
             found[name] = total
         return found
 

@@ -16,17 +16,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.calibration.place_correction import Widths, label_scatter_mm, left_mm
 from touchd.calibration.plan import bound_mm
+from touchd.calibration.reduced_plate import Floats
 from touchd.calibration.tap_fit import fit_taps
 from touchd.calibration.taps import FITS, Taps, hits
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.localization.atlas import Atlas
 from touchd.training.field.place import FieldMap
-
-Floats = NDArray[np.float64]
 
 GRID = 20
 """Places along each side of the wizard's map."""

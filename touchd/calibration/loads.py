@@ -15,16 +15,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchd.calibration.reduced_plate import ReducedPlate
+from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate, Shape
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import Attachment, Support
 from touchd.twin.physics.transducer import vectors_at
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 LEAST_RATIO = 0.05
 """Of frequency over the band's middle: below it the loss stays as it is."""
@@ -109,18 +105,23 @@ class Edges(NamedTuple):
     kinds: dict[str, str]
     """What holds each side that is not free, in the order of `SIDES`."""
     values: dict[str, float]
-    """Values by name, of `names_of`."""
+    """Values by name, for example `left damping`."""
     middle_rad_s: float
 
     def turned(self, orientation: int) -> Edges:
         """Return the edges of a plate that is mirrored left to right (bit 0), top to bottom (bit 1), or both."""
-        other = dict(zip(SIDES, SIDES, strict=True))
-        for axis in (0, 1):
-            if orientation & (1 << axis):
-                one, two = SIDES[2 * axis : 2 * axis + 2]
-                other |= {one: two, two: one}
+        other = {side: SIDES[k ^ (orientation >> k // 2 & 1)] for k, side in enumerate(SIDES)}
         values = {f"{other[name.split()[0]]} {name.split()[1]}": value for name, value in self.values.items()}
         return self._replace(kinds={other[side]: kind for side, kind in self.kinds.items()}, values=values)
+
+
+class Guess(NamedTuple):
+    """A vector of the unknowns, read as plate, discs, loss and edges."""
+
+    shape: Shape
+    discs: Discs
+    loss: Loss
+    edges: Edges
 
 
 class Lines(NamedTuple):
@@ -153,19 +154,16 @@ class Lines(NamedTuple):
         return found
 
 
-def names_of(kinds: dict[str, str]) -> tuple[str, ...]:
-    """Return the names of the unknowns of held sides, for example `left damping`."""
-    return tuple(f"{side} {kind}" for side in kinds for kind in KINDS)
-
-
 def lines_along(plate: ReducedPlate, kinds: dict[str, str]) -> Lines:
     """Return the lines along held edges of a plate of the reference's size."""
     size = plate.reference.width, plate.reference.height
     unit = np.sqrt(size[0] * size[1])
-    vectors, weights, owners = list[Floats](), [np.zeros(0)], []
+    vectors, owners, shares = list[Floats](), list[str](), dict[str, float]()
     for side, kind in kinds.items():
         axis, depths = SIDES.index(side) // 2, depths_mm(kind)
         count = plate.counts[1 - axis] - FEWER
+        shares[side] = WIDTH_MM * 1e-3 / size[axis] / len(depths)
+        owners += [side] * count * len(depths)
         for depth_mm in depths:
             at_m = 1e-3 * depth_mm if side in ("left", "top") else size[axis] - 1e-3 * depth_mm
             # The polynomials along the line are orthonormal over its length.
@@ -174,10 +172,8 @@ def lines_along(plate: ReducedPlate, kinds: dict[str, str]) -> Lines:
             for k, one in enumerate(line):
                 one.swapaxes(0, axis)[:, k] = across
             vectors.append(unit / np.sqrt(size[1 - axis]) * plate.sums(0, line))
-            weights.append(np.full(count, WIDTH_MM * 1e-3 / size[axis] / len(depths)))
-            owners += [side] * count
-    every, owner = np.concatenate(weights), np.array(owners)
-    return Lines(np.concatenate(vectors, axis=1), {side: every * (owner == side) for side in kinds})
+    owner = np.array(owners)
+    return Lines(np.concatenate(vectors, axis=1), {side: share * (owner == side) for side, share in shares.items()})
 
 
 def depths_mm(kind: str) -> list[float]:

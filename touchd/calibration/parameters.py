@@ -7,14 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Loss, names_of
+from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Guess, Loss
 from touchd.calibration.plate_file import PlateFile
-from touchd.calibration.reduced_plate import Shape, shape_of
+from touchd.calibration.reduced_plate import Floats, Shape, shape_of
 from touchd.frame import Acquisition, Chirp, Plate
 from touchd.twin.physics.material import ElasticPlate, Material, material_of, mindlin_wavenumber
 from touchd.twin.physics.transducer import Layout
-
-Floats = NDArray[np.float64]
 
 STIFFNESS_M3 = 1e-7
 """Unit of a disc's bending stiffness over the plate's Young's modulus: 6 mm of 2 mm PZT bonded to 5 mm glass have 2."""
@@ -96,15 +94,6 @@ def held_sides(said: PlateFile) -> dict[str, str]:
     return {side: kind for side, kind in said.plate.edges.model_dump().items() if kind != "free"}
 
 
-class Guess(NamedTuple):
-    """A vector of the unknowns, read as plate, discs, loss and edges."""
-
-    shape: Shape
-    discs: Discs
-    loss: Loss
-    edges: Edges
-
-
 class Reader:
     """Reads vectors of a plate's unknowns."""
 
@@ -114,10 +103,14 @@ class Reader:
         self.start = np.array([unknown.start for unknown in self.unknowns])
         self.prior = np.array([unknown.prior for unknown in self.unknowns])
         self._at = {name: i for i, name in enumerate(self.names)}
+        self.places = self.names[self._at["x0"] : self._at["mx0"]]
+        """Names of the discs' coordinates."""
+        self.offsets = self.names[self._at["mx0"] :]
+        """Names of the offsets of their masses."""
         self.held = held_sides(said)
         """What holds each side that is not free."""
-        self.edges = names_of(self.held)
-        """Names of the edges' unknowns."""
+        self.edges = tuple(f"{side} {kind}" for side in self.held for kind in KINDS)
+        """Names of the edges' unknowns, for example `left damping`."""
         self._plate, self._layout = said.twin_plate(), said.layout()
         self._said = shape_of(self._plate)
         lever_mm = (said.plate.thickness_mm + DISC_THICKNESS_MM) / 2
@@ -128,16 +121,6 @@ class Reader:
     def index(self, names: tuple[str, ...]) -> NDArray[np.intp]:
         """Return where names stand in a vector."""
         return np.array([self._at[name] for name in names])
-
-    @property
-    def places(self) -> tuple[str, ...]:
-        """Names of the discs' coordinates."""
-        return self.names[self._at["x0"] : self._at["mx0"]]
-
-    @property
-    def offsets(self) -> tuple[str, ...]:
-        """Names of the offsets of their masses."""
-        return self.names[self._at["mx0"] :]
 
     def read(self, p: Floats) -> Guess:
         """Return what a vector says, in SI units."""
@@ -158,20 +141,17 @@ class Reader:
         edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
         return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle), edges)
 
-    def chain(self, guess: Guess) -> dict[str, tuple[str, float]]:
+    def chain(self, p: Floats) -> dict[str, tuple[str, float]]:
         """Return, for each unknown, the name of the response's derivative and the factor to it."""
-        shape, discs = guess.shape, guess.discs
+        shape, discs, _, _ = self.read(p)
         found = {
             "speed": ("speed2", 2 * shape.speed2), "thickness": ("h", shape.h), "loss": ("loss", 1.0),
             "poisson": ("nu", 1.0), "width": ("width", 1e-3), "height": ("height", 1e-3), "slope": ("slope", 1.0),
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
             "stiffness": ("stiffness", STIFFNESS_M3), "gyration": ("gyration2", self._gyration2_m2),
         }  # fmt: skip
-        return (
-            found
-            | {name: (name, 1.0) for name in self.edges}
-            | {name: (name, 1e-3) for name in (*self.places, *self.offsets)}
-        )
+        found |= {name: (name, 1.0) for name in self.edges}
+        return found | {name: (name, 1e-3) for name in (*self.places, *self.offsets)}
 
     def plate(self, p: Floats) -> ElasticPlate:
         """Return the plate of a vector, its sides to a micrometre, as models describe them.

@@ -14,13 +14,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.calibration.plate_fit import PlateFit, Progress
-from touchd.calibration.untouched_model import emission
+from touchd.calibration.reduced_plate import Complex, Floats
+from touchd.calibration.stages import band, emission
 from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
 from touchd.frame import Acquisition, Plate
-from touchd.localization.atlas import Atlas, AtlasDescription
+from touchd.localization.atlas import Array, Atlas, AtlasDescription
 from touchd.localization.features import band_bins, windowed_dft
 from touchd.localization.position_error import UNUSUAL
 from touchd.training.field.bins import TAPER, informative, weights
@@ -29,9 +29,6 @@ from touchd.training.field.place import FieldMap, place
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.record import Record
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 AREA_MM2 = 20.0
 """Contact area of the reference touch: a silicone finger of 5 mm. The amplitude absorbs most of the difference to
@@ -82,7 +79,9 @@ class PhysicalField:
         nu = record.nu_rad_s
         self._response = fit.response(nu)
         self._discs = self._response.modes.discs
-        self._heard = emission(a, nu) * fit.gain(record.hz)  # (R, F)
+        x = band(a, record.hz)
+        gain = fit.gains @ np.stack([x**k for k in range(fit.gains.shape[1])])
+        self._heard = emission(a, nu) * gain  # (R, F)
         self._to_bins = spectra_to_bins(record, a)
 
     def at(self, position_mm: Floats, touch: Reference | None = None) -> Complex:
@@ -134,7 +133,7 @@ def grid_of(length_mm: float, step_mm: float) -> Grid:
     return Grid(*(np.asarray(array, np.float64) for array in (nodes, samples, solve)))
 
 
-def coefficients_of(values: Complex, x: Grid, y: Grid) -> NDArray[np.float32]:
+def coefficients_of(values: Complex, x: Grid, y: Grid) -> Array:
     """Return an atlas' coefficients from the field at all samples of its grid, row by row: (samples, R, bins)."""
     rows = values.reshape(len(y.samples_mm), len(x.samples_mm), -1)
     nodes = np.tensordot(y.solve, np.tensordot(x.solve, rows, (1, 1)), (1, 1))  # (rows, columns, R * bins)

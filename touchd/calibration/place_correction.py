@@ -12,17 +12,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.calibration.loads import SIDES
 from touchd.calibration.parameters import wavelength_mm
 from touchd.calibration.physical_atlas import coefficients_of, grid_of
-from touchd.calibration.plate_fit import PlateFit
-from touchd.calibration.verdict import CLAMPED_MM, GOOD_MM, MODEL
+from touchd.calibration.plate_fit import CLAMPED_MM, GOOD_MM, MODEL, PlateFit
+from touchd.calibration.reduced_plate import Floats
 from touchd.localization.atlas import Atlas
 from touchd.training.field.place import FieldMap
-
-Floats = NDArray[np.float64]
 
 LABELS_MM = np.geomspace(0.1, 10.0, 41)
 """Labels' errors per axis that are tried."""

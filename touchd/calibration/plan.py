@@ -11,13 +11,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.calibration.parameters import usual_loss, wavelength_mm
 from touchd.calibration.physical_atlas import spectra_to_bins
 from touchd.calibration.plate_file import PlateFile
-from touchd.calibration.untouched_model import emission
-from touchd.calibration.verdict import EXACT
+from touchd.calibration.plate_fit import EXACT
+from touchd.calibration.reduced_plate import Complex, Floats
+from touchd.calibration.stages import emission
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Acquisition
 from touchd.training.field.bins import TAPER
@@ -26,9 +26,6 @@ from touchd.twin.physics import legendre
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.plate import polynomials_for, size_m, solve
 from touchd.twin.record import Record
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 NOISE_DB = 60.0
 PLACES = 16
@@ -51,14 +48,13 @@ WORST = 95
 """Percentile of the plate's places by which layouts are compared: a layout is as good as its poor places."""
 Progress = Callable[[float], object]
 """Receives the share of a search that is done."""
-Places = NDArray[np.float64]
-"""Centres of the discs, the emitter first, shape (1 + receivers, 2), mm."""
 
 
 class Plan(NamedTuple):
     """Expected errors of a layout."""
 
-    discs_mm: Places
+    discs_mm: Floats
+    """Centres of the discs, the emitter first, shape (1 + receivers, 2)."""
     error_mm: Floats
     """RMS distance from the truth by noise, shape (rows, columns)."""
     exact_mm: float
@@ -138,7 +134,7 @@ class PlateMap:
         vectors = np.stack([self._psi[0] @ x + self._psi[1] @ y, self._w @ under])
         return Way(vectors, np.stack([[self._kernel.T @ (v[:, None] * m) for m in self._moved] for v in vectors]))
 
-    def plan(self, discs_mm: Places, ways: list[Way] | None = None) -> Plan:
+    def plan(self, discs_mm: Floats, ways: list[Way] | None = None) -> Plan:
         """Return the map of a layout; `ways` are those of its discs."""
         ways = ways or [self.way(place) for place in discs_mm]
         rims, under = (np.stack([way.vectors[i] for way in ways]) for i in (0, 1))  # (D, n)

@@ -107,11 +107,8 @@ class PlateFile(_Table):
 def read_plate_file(path: Path) -> PlateFile:
     """Read PLATE.toml.
 
-    Raises
-    ------
-    PlateFileInvalid
-        The file is missing or no TOML, a key is unknown, missing or out of range, the material is unknown, lengths are
-        not in millimetres, or a disc reaches over the edge.
+    Raises PlateFileInvalid if the file is missing or no TOML, a key is unknown, missing or out of range, the material
+    is unknown, lengths are not in millimetres, or a disc reaches over the edge.
     """
     try:
         content = tomllib.loads(read_text(path))
@@ -127,20 +124,25 @@ def check_plate_file(content: dict[str, Any], where: str = "PLATE.toml") -> Plat
     try:
         said = PlateFile.model_validate(content)
     except ValidationError as error:
-        raise _joined([*_explained(error, where)], where) from error
+        raise _refused([*_explained(error)], where) from error
     # Lengths in metres put every disc in the wrong place: places are checked once the lengths are right.
-    if wrong := [*_check_material(said.plate, where), *_check_lengths(said, where)] or [*_check_places(said, where)]:
-        raise _joined(wrong, where)
+    if wrong := [*_check_material(said.plate), *_check_lengths(said)] or [*_check_places(said)]:
+        raise _refused(wrong, where)
     return said
 
 
-def _joined(wrong: list[PlateFileInvalid], where: str) -> PlateFileInvalid:
-    if len(wrong) == 1:
-        return wrong[0]
-    return PlateFileInvalid(f"{len(wrong)} mistakes: {'; '.join(map(str, wrong))}", where, "correct them all")
+Mistake = tuple[str, str, str]
+"""What is wrong, the key, and what to do."""
 
 
-def _explained(error: ValidationError, where: str) -> Iterator[PlateFileInvalid]:
+def _refused(wrong: list[Mistake], where: str) -> PlateFileInvalid:
+    errors = [PlateFileInvalid(what, f"{where}: {key}", fix) for what, key, fix in wrong]
+    if len(errors) == 1:
+        return errors[0]
+    return PlateFileInvalid(f"{len(errors)} mistakes: {'; '.join(map(str, errors))}", where, "correct them all")
+
+
+def _explained(error: ValidationError) -> Iterator[Mistake]:
     """Explain each key that pydantic refuses once."""
     named = set()
     for found in error.errors():
@@ -149,8 +151,7 @@ def _explained(error: ValidationError, where: str) -> Iterator[PlateFileInvalid]
         key = "".join(c if c.isprintable() else "?" for c in ".".join(parts))
         if key not in named:
             named.add(key)
-            what = f"{found['msg'][:1].lower()}{found['msg'][1:]}"
-            yield PlateFileInvalid(what, f"{where}: {key}", _fix(found["type"], found["loc"]))
+            yield f"{found['msg'][:1].lower()}{found['msg'][1:]}", key, _fix(found["type"], found["loc"])
 
 
 def _fix(kind: str, place: tuple[int | str, ...]) -> str:
@@ -167,58 +168,47 @@ def _fix(kind: str, place: tuple[int | str, ...]) -> str:
     return "correct this key"
 
 
-def _check_material(plate: PlateSaid, where: str) -> Iterator[PlateFileInvalid]:
+def _check_material(plate: PlateSaid) -> Iterator[Mistake]:
     constants = (plate.young_gpa, plate.poisson, plate.density_kg_m3)
-    names = ", ".join(MATERIALS)
+    known = f"one of {', '.join(MATERIALS)}, or give young_gpa, poisson and density_kg_m3"
+    key = "plate.material"
     if plate.material is None and None in constants:
-        yield PlateFileInvalid(
-            "the material is missing", f"{where}: plate.material",
-            f"name one of {names}, or give young_gpa, poisson and density_kg_m3",
-        )  # fmt: skip
+        yield "the material is missing", key, f"name {known}"
     if plate.material is not None and any(constant is not None for constant in constants):
-        yield PlateFileInvalid(
-            "has a name and constants", f"{where}: plate.material", "keep either the name or the three constants"
-        )
+        yield "has a name and constants", key, "keep either the name or the three constants"
     if plate.material is not None and plate.material.lower() not in MATERIALS:
-        yield PlateFileInvalid(
-            f"unknown material {plate.material!r}", f"{where}: plate.material",
-            f"use one of {names}, or give young_gpa, poisson and density_kg_m3",
-        )  # fmt: skip
+        yield f"unknown material {plate.material!r}", key, f"use {known}"
 
 
-def _check_lengths(said: PlateFile, where: str) -> Iterator[PlateFileInvalid]:
+def _check_lengths(said: PlateFile) -> Iterator[Mistake]:
     """Refuse lengths that can only be metres or centimetres."""
     plate, discs = said.plate, said.discs
     fix = "write every length in millimetres"
     for key, length_mm in (("width_mm", plate.width_mm), ("height_mm", plate.height_mm)):
         if length_mm < LEAST_SIDE_MM:
-            yield PlateFileInvalid(f"{length_mm:g} mm is no plate: metres?", f"{where}: plate.{key}", fix)
+            yield f"{length_mm:g} mm is no plate: metres?", f"plate.{key}", fix
     if plate.thickness_mm < LEAST_THICKNESS_MM or plate.thickness_mm > min(plate.width_mm, plate.height_mm) / 4:
-        yield PlateFileInvalid(
-            f"{plate.thickness_mm:g} mm is no thickness of a {plate.width_mm:g} x {plate.height_mm:g} mm plate",
-            f"{where}: plate.thickness_mm", fix,
-        )  # fmt: skip
+        what = f"{plate.thickness_mm:g} mm is no thickness of a {plate.width_mm:g} x {plate.height_mm:g} mm plate"
+        yield what, "plate.thickness_mm", fix
     if discs.diameter_mm < LEAST_THICKNESS_MM:
-        yield PlateFileInvalid(f"{discs.diameter_mm:g} mm is no disc: metres?", f"{where}: discs.diameter_mm", fix)
+        yield f"{discs.diameter_mm:g} mm is no disc: metres?", "discs.diameter_mm", fix
     for key, place in _places(discs):
         if 0 < max(place) < 1 and min(place) >= 0:
-            yield PlateFileInvalid(f"({place[0]:g}, {place[1]:g}) looks like metres", f"{where}: discs.{key}", fix)
+            yield f"({place[0]:g}, {place[1]:g}) looks like metres", f"discs.{key}", fix
 
 
-def _check_places(said: PlateFile, where: str) -> Iterator[PlateFileInvalid]:
+def _check_places(said: PlateFile) -> Iterator[Mistake]:
     """Refuse discs that reach over the edge or into each other."""
     plate, radius = said.plate, said.discs.diameter_mm / 2
     places = _places(said.discs)
     for number, (key, (x, y)) in enumerate(places):
         if not (radius <= x <= plate.width_mm - radius and radius <= y <= plate.height_mm - radius):
-            yield PlateFileInvalid(
-                f"a disc of {2 * radius:g} mm at ({x:g}, {y:g}) reaches over the edge of the "
-                f"{plate.width_mm:g} x {plate.height_mm:g} mm plate",
-                f"{where}: discs.{key}", "measure from the top left corner, x to the right and y down",
-            )  # fmt: skip
+            what = f"a disc of {2 * radius:g} mm at ({x:g}, {y:g}) reaches over the edge of the "
+            what += f"{plate.width_mm:g} x {plate.height_mm:g} mm plate"
+            yield what, f"discs.{key}", "measure from the top left corner, x to the right and y down"
         for other, (x2, y2) in places[:number]:
             if (x - x2) ** 2 + (y - y2) ** 2 < (2 * radius) ** 2:
-                yield PlateFileInvalid(f"lies on {other}", f"{where}: discs.{key}", "measure both again")
+                yield f"lies on {other}", f"discs.{key}", "measure both again"
 
 
 def _places(discs: DiscsSaid) -> list[tuple[str, tuple[float, float]]]:

@@ -1,22 +1,20 @@
-"""Fit plate and discs to the untouched response."""
+"""Fit plate and discs to the untouched response, and judge the fit: verdict, expected error, reasons."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.calibration.candidates import Candidate, candidates, material_like, soft_edges
 from touchd.calibration.loads import Edges, Loss, attachments
 from touchd.calibration.parameters import LOGARITHMS, Reader, wavelength_mm
 from touchd.calibration.plate_file import PlateFile
-from touchd.calibration.reduced_plate import ReducedPlate
+from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
 from touchd.calibration.stages import State, run_stages
 from touchd.calibration.untouched import Untouched
-from touchd.calibration.untouched_model import band
-from touchd.calibration.verdict import GOOD_LEFT, USABLE_LEFT, Evidence, Parameter, Verdict, judge
 from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
@@ -24,8 +22,31 @@ from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+Verdict = Literal["good", "usable", "poor"]
+
+EXACT = 0.0013
+"""Median error of a touch with exact physics and without noise, wavelengths: 0.03 mm on 5 mm glass."""
+NOISE = 1.0
+"""Median error by noise, wavelengths times the RMS of a frame's noise relative to the signal."""
+MODEL = 0.04
+"""Median error by physics that the fit lacks, wavelengths times the root of the energy that it leaves."""
+GOOD_LEFT, USABLE_LEFT = 0.01, 0.12
+"""Most energy that a good and a usable fit leave, beyond noise."""
+GOOD_MM, USABLE_MM = 0.2, 1.0
+"""Largest expected error of a good and a usable fit, mm."""
+FINGER_MM = 12.0
+"""Width of an adult's fingertip. At a shorter wave it is no longer like a point with a shape: with waves of 10.8 mm
+27 % were missed in single frames, with 21 mm none (twin, acrylic)."""
+CLAMPED_MM = 0.7
+"""Error of places beside a clamped edge: its depth trades off against the plate's sides (twin)."""
+NOT_SAID = ("loss", "slope", "disc", "edge")
+"""Names of parameters that nobody measures begin so: no reason to doubt a fit."""
+ODD_CHANNEL = 10.0
+"""A channel that leaves this many times the share of the median channel is odd."""
+UNDECIDED = (
+    "whether the drawing is mirrored or turned by 180 degrees: a rectangle sounds the same; tap the top left "
+    "corner, and then the top right one",
+)
 AT_PRIOR = 2.0
 """A parameter this many of its standard deviations from what was said has been pulled there by the data."""
 HALF = 0.5
@@ -34,8 +55,34 @@ Progress = Callable[[str, float], object]
 """Receives the stage's name and the share of the whole work that is done, 0 .. 1."""
 
 
+class Parameter(NamedTuple):
+    """One fitted number beside what PLATE.toml said."""
+
+    name: str
+    """For example `thickness`, `emitter x` or `receiver 2 y`."""
+    unit: str
+    said: float
+    fitted: float
+    standard_error: float
+    at_prior: bool
+    """Whether the data pull it further from what was said than its uncertainty allows."""
+
+
 @dataclass(frozen=True)
-class PlateFit:
+class Judgement:
+    """What a fit is worth."""
+
+    verdict: Verdict
+    expected_mm: float
+    """Expected median error of a touch with a physical atlas of this plate."""
+    reasons: tuple[str, ...]
+    """Why the verdict is not better, each with the next thing to do."""
+    undecided: tuple[str, ...]
+    """What an untouched plate cannot tell, each with what settles it."""
+
+
+@dataclass(frozen=True)
+class PlateFit(Judgement):
     """A fitted plate: R receivers, S samples, F frequencies."""
 
     plate: ElasticPlate
@@ -45,13 +92,6 @@ class PlateFit:
     gains: Complex
     """Coefficients of each channel's complex gain, shape (R, 3), in powers of `band`; counts per unit of response."""
     parameters: tuple[Parameter, ...]
-    verdict: Verdict
-    expected_mm: float
-    """Expected median error of a touch with a physical atlas of this plate."""
-    reasons: tuple[str, ...]
-    """Why the verdict is not better, each with the next thing to do."""
-    undecided: tuple[str, ...]
-    """What an untouched plate cannot tell, each with what settles it."""
     scale_error: float
     """Standard error of the absolute scale, which the ruler alone gives, relative."""
     unexplained: float
@@ -67,11 +107,6 @@ class PlateFit:
     edges: Edges
     """What holds the sides."""
 
-    def gain(self, frequency_hz: Floats) -> Complex:
-        """Return each channel's complex gain at frequencies (F,), shape (R, F), counts."""
-        x = band(self.acquisition, frequency_hz)
-        return np.asarray(self.gains @ np.stack([x**k for k in range(self.gains.shape[1])]))
-
     def response(self, nu_rad_s: Complex) -> Response:
         """Return the fitted plate's response at complex angular frequencies (F,)."""
         modes = self.basis.loaded(self.plate, self.layout)
@@ -80,22 +115,9 @@ class PlateFit:
             modes = attach(modes, self.plate, held, 0.0, self.edges.middle_rad_s / (2 * np.pi))
         return Response(self.plate, modes, nu_rad_s, self.loss.at(nu_rad_s))
 
-    def residual(self) -> tuple[Floats, Floats]:
-        """Return frequencies (F,), Hz, and the share of each channel's energy left there, shape (R, F)."""
-        spectrum = np.abs(np.fft.rfft(self.measured - self.fitted, axis=1)) ** 2
-        energy = (np.abs(np.fft.rfft(self.measured, axis=1)) ** 2).sum(axis=1, keepdims=True)
-        hz = np.fft.rfftfreq(self.measured.shape[1], 1 / self.acquisition.sample_rate_hz)
-        return np.asarray(hz, np.float64), spectrum / np.maximum(energy, np.finfo(float).tiny)
-
 
 def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = lambda _stage, _share: None) -> PlateFit:
-    """Fit plate, discs and gains to the untouched response.
-
-    Raises
-    ------
-    CalibrationError
-        No channel hears the chirp.
-    """
+    """Fit plate, discs and gains to the untouched response; CalibrationError if no channel hears the chirp."""
     if recording_mean.dead.all():
         raise CalibrationError(
             "no channel hears the chirp", "recording", "check the emitter's cable and amplifier, and record again"
@@ -127,21 +149,24 @@ def _fit(
     energy = np.where(untouched.dead, np.nan, (measured**2).sum(axis=1))
     left = ((measured - fitted) ** 2).sum(axis=1) / energy
     noise_share = float(np.nanmean(untouched.noise**2 * measured.shape[1] / energy))
-    scale_error = _scale_error(reader, state)
+    # Of the mean of the logarithms of width and height.
+    sides = [state.names.index(name) for name in ("width", "height")]
+    share = 0.5 / p[reader.index(("width", "height"))]
+    scale_error = float(np.sqrt(share @ state.covariance[np.ix_(sides, sides)] @ share))
     named = material_like(np.sqrt(plate.elastic.E_pa / plate.elastic.rho_kg_m3), plate.elastic.nu)
     if named and named != plate.material.lower() and any(q.at_prior for q in parameters[:4]):
         found = (*found, f"{named} fits, not {plate.material}: correct the material")
-    evidence = Evidence(
-        left, noise_share, np.sqrt(noise_share * untouched.frames),
-        wavelength_mm(plate, untouched.acquisition.chirp), parameters,
-        scale_error * np.hypot(*plate.size_mm) / 2,
-        tuple(side for side, kind in reader.held.items() if kind == "clamped"), found,
+    judgement = judge(
+        left, parameters, noise_share=noise_share, frame_noise=np.sqrt(noise_share * untouched.frames),
+        wavelength_mm=wavelength_mm(plate, untouched.acquisition.chirp),
+        scale_mm=scale_error * np.hypot(*plate.size_mm) / 2,
+        clamped=[side for side, kind in reader.held.items() if kind == "clamped"], found=found,
     )  # fmt: skip
     # Those of the fit belong to modes per mass of the plate.
     gains = stiffness_of(plate).mass * plate.width_mm * plate.height_mm * 1e-6 * state.fitted.gains
     fit = PlateFit(
         plate=plate, layout=reader.layout(p), acquisition=untouched.acquisition, loss=guess.loss, gains=gains,
-        parameters=parameters, **judge(evidence)._asdict(),
+        parameters=parameters, **vars(judgement),
         scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
         measured=measured, fitted=fitted, basis=model.plate, edges=guess.edges,
     )  # fmt: skip
@@ -162,8 +187,56 @@ def _parameters(reader: Reader, state: State) -> tuple[Parameter, ...]:
     )
 
 
-def _scale_error(reader: Reader, state: State) -> float:
-    """Return the standard error of the mean of the logarithms of width and height."""
-    at = [state.names.index(name) for name in ("width", "height")]
-    share = 0.5 / state.p[reader.index(("width", "height"))]
-    return float(np.sqrt(share @ state.covariance[np.ix_(at, at)] @ share))
+def judge(
+    shares: Floats, parameters: Sequence[Parameter], *, noise_share: float, frame_noise: float, wavelength_mm: float,
+    scale_mm: float, clamped: Sequence[str] = (), found: Sequence[str] = (),
+) -> Judgement:  # fmt: skip
+    """Return verdict, expected error and reasons.
+
+    `shares` (R,) is what the fit leaves of each channel's energy, NaN of a dead one; `noise_share` of the mean frame's
+    energy is noise. `frame_noise` is the RMS of one frame's noise relative to the signal, `scale_mm` the error of
+    places in the middle of the plate by the absolute scale. `clamped` are sides in a clamp, and `found` says what else
+    was found: a swapped channel, another material that fits.
+    """
+    dead = np.flatnonzero(np.isnan(shares))
+    live = shares[~np.isnan(shares)]
+    left = max(float(np.mean(live)) - noise_share, 0.0) if live.size else 1.0
+    parts = (EXACT, NOISE * frame_noise, MODEL * np.sqrt(left))
+    apart_mm = np.array([wavelength_mm * np.linalg.norm(parts), scale_mm, CLAMPED_MM if clamped else 0.0])
+    expected_mm = float(np.linalg.norm(apart_mm))
+    reasons = list(found)
+    reasons += [f"the {side} edge is clamped: places may be shifted as a whole; free it" for side in clamped]
+    reasons += [f"receiver {c + 1} is dead: check its disc and cable" for c in dead]
+    usual = float(np.median(live)) if live.size else 1.0
+    odd = [c for c, share in enumerate(shares) if share > ODD_CHANNEL * usual and share > GOOD_LEFT]
+    reasons += [f"receiver {c + 1} does not fit as the others do: check its disc and its place" for c in odd]
+    pulled = [p for p in parameters if p.at_prior and not p.name.startswith(NOT_SAID)]
+    reasons += [
+        f"{p.name}: {p.said:.4g} {p.unit} was said, {p.fitted:.4g} fits: measure it again".replace("  ", " ")
+        for p in pulled
+    ]
+    if left > USABLE_LEFT or expected_mm > USABLE_MM or live.size < 2:
+        return Judgement("poor", expected_mm, (_unexplained(left), *reasons), UNDECIDED)
+    if left > GOOD_LEFT:
+        reasons.insert(0, _unexplained(left))
+    if NOISE * frame_noise * wavelength_mm > GOOD_MM / 2:
+        reasons.append(f"noise of {20 * np.log10(frame_noise):.0f} dB: raise the gain, or shield the cables")
+    if scale_mm > GOOD_MM / 2:
+        reasons.append(f"the scale is known to {scale_mm:.2f} mm: measure width and height more exactly")
+    short = wavelength_mm < FINGER_MM
+    if short:
+        reasons.append(
+            f"waves of {wavelength_mm:.0f} mm are shorter than a fingertip is wide, and adults' touches get lost: "
+            "chirp at lower frequencies, or take a thicker pane"
+        )
+    good = (
+        not (short or dead.size or odd or pulled or found or clamped) and left <= GOOD_LEFT and expected_mm <= GOOD_MM
+    )
+    return Judgement("good" if good else "usable", expected_mm, () if good else tuple(reasons), UNDECIDED)
+
+
+def _unexplained(left: float) -> str:
+    return (
+        f"the plate's physics leave {left:.1%} of the response: check that it is one rectangular pane without holes, "
+        "what holds its edges, and the order of the channels"
+    )

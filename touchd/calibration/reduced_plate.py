@@ -10,7 +10,7 @@ Energies are per mass of the plate: a mode has the mass 1 if it carries the plat
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,8 @@ from touchd.twin.physics.plate import (
 from touchd.twin.physics.transducer import Layout, LoadedModes, vectors_of, with_discs
 
 Floats = NDArray[np.float64]
-Forms = list[Floats]
+Complex = NDArray[np.complex128]
+Array = TypeVar("Array", Floats, Complex)
 
 BASIS, BASIS_OF_MANY = 3.0, 1.8
 """Modes up to this many times the highest frequency are the basis; fewer where a plate has thousands."""
@@ -76,7 +77,7 @@ class _Class(NamedTuple):
     """Coefficients of w, psi_x and psi_y in products of polynomials on the unit square, each (n, a b)."""
     places: tuple[Slices, Slices, Slices]
     """Where these stand among all, along x and y."""
-    stiff: Forms
+    stiff: list[Floats]
     """Twelve forms of the strain energy, each (n, n)."""
     rotary: Floats
     """Form of the rotations' kinetic energy; that of the deflection follows from the reference's unit mass."""
@@ -151,7 +152,7 @@ class ReducedPlate:
         split = self.to_classes(values)
         return np.concatenate([turn.T @ part for turn, part in zip(bare.turns, split, strict=True)])
 
-    def to_classes(self, values: Floats) -> list[Floats]:
+    def to_classes(self, values: Array) -> list[Array]:
         """Split values of the reference's modes, shape (n, ...), by class."""
         return np.split(values, np.cumsum([len(each.rotary) for each in self.classes])[:-1])
 
@@ -164,11 +165,8 @@ class ReducedPlate:
         return np.concatenate(found)
 
 
-def _sum(forms: Forms, factors: Floats) -> Floats:
-    total = np.zeros_like(forms[0])
-    for form, factor in zip(forms, factors, strict=True):
-        total += factor * form
-    return total
+def _sum(forms: list[Floats], factors: Floats) -> Floats:
+    return np.asarray(sum(factor * form for form, factor in zip(forms, factors, strict=True)))
 
 
 def _class_of(modes: ClassModes, unit: float, counts: tuple[int, int]) -> _Class:

@@ -12,12 +12,11 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
+from touchd.calibration.reduced_plate import Floats
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import band_bins
 from touchd.localization.model import METADATA_KEY, Description
 from touchd.training.field.place import FieldMap
-
-Floats = NDArray[np.float64]
 
 GRID_STEPS = 1.3
 """Spacing of the grid in steps of the atlas: 3.2 mm on 5 mm glass, so that the nearest node is within

@@ -5,14 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchd.calibration.reduced_plate import Complex, Floats
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Bins
 from touchd.localization.gauss_newton import GaussNewton
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _STEPS = 6
 _NOISE = 1e-3

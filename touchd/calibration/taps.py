@@ -9,12 +9,14 @@ learned from fingertips, explains them better and places every tip worse (twin).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.place_correction import LABELS_MM, Widths, correction_of, with_places
 from touchd.calibration.plate_fit import PlateFit
+from touchd.calibration.reduced_plate import Complex, Floats
 from touchd.calibration.tap_fit import fit_taps
 from touchd.calibration.wave_correction import LEAST_LACKING, with_waves
 from touchd.errors import CalibrationError, TrainingError
@@ -22,9 +24,6 @@ from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
 from touchd.localization.atlas import Atlas
 from touchd.recording.data import Recording
 from touchd.training.field.place import place
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 ORIENTATIONS = ("", "mirrored left to right", "mirrored top to bottom", "turned by 180 degrees")
 CLEARER = 0.5
@@ -73,10 +72,7 @@ class Refined:
 def taps_of(recording: Recording, atlas: Atlas) -> Taps:
     """Return the taps of a recording: its frames of one finger with one label, averaged.
 
-    Raises
-    ------
-    CalibrationError
-        The recording has no labelled tap, or no untouched frame beside it, or other channels.
+    Raises CalibrationError if the recording has no labelled tap, or no untouched frame beside it, or other channels.
     """
     a = atlas.description.acquisition
     if recording.frames.shape[1:] != a.shape:
@@ -95,10 +91,7 @@ def taps_of(recording: Recording, atlas: Atlas) -> Taps:
 def labelled(recording: Recording) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
     """Return the positions (n, 2) of single touches, their frames (n,), and the untouched frames (m,).
 
-    Raises
-    ------
-    CalibrationError
-        The recording has none, or labels beyond the plate.
+    Raises CalibrationError if the recording has none, or labels beyond the plate.
     """
     try:
         return labels(recording, least=1)
@@ -167,6 +160,22 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
         ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), placed_mm, scatter_mm, moved_mm,
         float(np.median(misfit)),
     )  # fmt: skip
+
+
+def told_by(taps: Taps, atlas: Atlas) -> tuple[int, dict[str, Any]]:
+    """Return the drawing's orientation, and for the page the taps' scatter, how many labels tell it, and their misses.
+
+    `off_mm` is the median distance of taps from their labels.
+    """
+    orientation = orientation_of(atlas, taps)
+    label_mm = turned(taps.label_mm, orientation, atlas.description.plate.size_mm)
+    placed = fit_taps(atlas, taps.values, label_mm)
+    fits = placed.misfit < FITS
+    scatter_mm, repeats = scatter_of(label_mm[fits], placed.position_mm[fits])
+    off_mm = float(np.median(np.linalg.norm(placed.position_mm - label_mm, axis=1)))
+    return orientation, {
+        "scatter_mm": scatter_mm, "repeats": repeats, "off_mm": off_mm, "orientation": ORIENTATIONS[orientation],
+    }  # fmt: skip
 
 
 def scatter_of(label_mm: Floats, placed_mm: Floats) -> tuple[float | None, int]:

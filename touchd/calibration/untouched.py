@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.reduced_plate import Floats
 from touchd.errors import PlateMismatch, PlateTouched, PlateUnsteady, SignalClipped
 from touchd.frame import Acquisition
 from touchd.recording.data import Recording
-
-Floats = NDArray[np.float64]
 
 MOST_REPEATED = 0.5
 """Share of the frames that may equal the one before."""
@@ -67,10 +66,7 @@ def untouched_acts(recording: Recording) -> Recording:
 def untouched_mean(recording: Recording, said: PlateFile) -> Untouched:
     """Return the mean of the frames that nothing disturbs.
 
-    Raises
-    ------
-    PlateTouched, PlateUnsteady, SignalClipped, PlateMismatch
-        The recording cannot calibrate this plate.
+    Raises PlateTouched, PlateUnsteady, SignalClipped or PlateMismatch if the recording cannot calibrate this plate.
     """
     _check_geometry(recording, said)
     frames = recording.frames

@@ -113,14 +113,6 @@ class _Kept(NamedTuple):
     touched: bool
 
 
-class _Done(NamedTuple):
-    task: Task
-    frames: list[_Kept]
-    first: int
-    """Of the labelled frames; those up to `last` are labelled, none if they are equal."""
-    last: int
-
-
 class Walk:
     """Takes frames, act by act."""
 
@@ -130,7 +122,8 @@ class Walk:
         """Index of the act in hand; `len(tasks)` at the end."""
         self.asked = 0
         """Counts the times that an act was begun, or begun again on demand."""
-        self._done: dict[int, _Done] = {}
+        self._done: dict[int, tuple[Task, list[_Kept], NDArray[np.float32]]] = {}
+        """The complete acts with their frames, and the labels of these, shape (n, 1, 2)."""
         self._pipeline = Pipeline(acquisition, None, Settings())
         self._try: deque[_Kept] = deque()
         self._last = (-1, -1)
@@ -164,23 +157,19 @@ class Walk:
 
     def count(self, name: str) -> tuple[int, int]:
         """Return how many acts of a name are complete, and how many there are."""
-        return sum(done.task.name == name for done in self._done.values()), sum(t.name == name for t in self.tasks)
+        return sum(task.name == name for task, *_ in self._done.values()), sum(t.name == name for t in self.tasks)
 
     def recording(self, meta: Meta) -> Recording | None:
         """Return the complete acts; None without one."""
         if not self._done:
             return None
         acts: list[Act] = []
-        labels: list[NDArray[np.float32]] = []
-        for task, frames, first, last in self._done.values():
+        for task, frames, _ in self._done.values():
             begin = acts[-1].end if acts else 0
             acts.append(Act(name=task.name, begin=begin, end=begin + len(frames), places_mm=task.places_mm,
                             uncertainty_mm=task.uncertainty_mm))  # fmt: skip
-            label = np.full((len(frames), 1, 2), np.nan, np.float32)
-            if last > first:  # a stroke is labelled as if its speed were constant
-                label[first:last, 0] = np.linspace(task.places_mm[0], task.places_mm[-1], last - first)
-            labels.append(label)
-        kept = [each for done in self._done.values() for each in done.frames]
+        labels = [label for *_, label in self._done.values()]
+        kept = [each for _, frames, _ in self._done.values() for each in frames]
         t_ns = np.array([each.t_ns for each in kept], np.int64)
         return Recording(
             meta.model_copy(update={"acts": tuple(acts)}), np.stack([each.counts for each in kept]),
@@ -193,7 +182,7 @@ class Walk:
             self._restart()
             return "a finger: the seconds begin again" if began else ""
         if not self._run and self._span_s(0) >= task.least_s:
-            self._complete(task, 0, 0)
+            self._complete(task)
         return ""
 
     def _touch(self, task: Task) -> str:
@@ -219,8 +208,12 @@ class Walk:
         """Return the time from a frame of this try to the last one."""
         return (self._try[-1].t_ns - self._try[index].t_ns) * 1e-9
 
-    def _complete(self, task: Task, first: int, last: int) -> None:
-        self._done[self.next] = _Done(task, list(self._try), first, last)
+    def _complete(self, task: Task, first: int = 0, last: int = 0) -> None:
+        """Keep an act; its frames from `first` to `last` are labelled, a stroke as if its speed were constant."""
+        label = np.full((len(self._try), 1, 2), np.nan, np.float32)
+        if last > first:
+            label[first:last, 0] = np.linspace(task.places_mm[0], task.places_mm[-1], last - first)
+        self._done[self.next] = task, list(self._try), label
         self._go(self.next + 1)
 
     def _go(self, act: int) -> None:

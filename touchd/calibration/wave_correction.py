@@ -13,18 +13,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.calibration.physical_atlas import coefficients_of, grid_of
+from touchd.calibration.reduced_plate import Complex, Floats
 from touchd.calibration.tap_fit import FittedTaps, fit_taps
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import band_bins
 from touchd.training.field.few_touches import Product, basis_of, covariance, product_of
-from touchd.training.field.kernel import distances
 from touchd.training.field.place import FieldMap
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from touchd.training.field.regression import distances
 
 LEAST_LACKING = 5e-3
 """Below this share of the untouched energy that a fit leaves, physics err less than fingertips differ (twin)."""

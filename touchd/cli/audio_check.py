@@ -166,7 +166,7 @@ def draw(found: Checked, said: PlateFile | None = None, plan: Plan | None = None
     """Plot response, noise and crosstalk over frequency, and the expected error over the plate."""
     from matplotlib.figure import Figure
 
-    from touchd.calibration.report import draw_maps
+    from touchd.calibration.calibrate import draw_maps
 
     figure = Figure(figsize=(8.0 if plan is None else 14.0, 5.0), layout="constrained")
     left, *right = figure.subfigures(1, 1 if plan is None else 2, squeeze=False)[0]

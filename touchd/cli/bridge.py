@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from touchd.bridges.bridge import Output, run
-from touchd.bridges.dark import HoldOff
+from touchd.bridges.screen import HoldOff
 from touchd.cli.interrupt import stopping
 from touchd.service.systemd import Notifier
 

@@ -64,9 +64,8 @@ def command(
     folder named .report. A model that was there is kept, as .previous.onnx. A poor fit writes no model, and exits with
     a status of its own.
     """
-    from touchd.calibration.calibrate import fit_recording, make_model
+    from touchd.calibration.calibrate import fit_recording, make_model, write_calibration_report
     from touchd.calibration.plate_file import read_plate_file
-    from touchd.calibration.report import write_calibration_report
     from touchd.calibration.taps import labelled
     from touchd.cli.progress import Bars
     from touchd.config.load import load

@@ -85,7 +85,7 @@ def _print(finding: Finding) -> None:
 def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None) -> Iterator[Finding]:
     """Run the checks and yield each finding; a failure omits the checks that depend on it."""
     from touchd.cli.main import missing_extra
-    from touchd.doctor import host, usb
+    from touchd.doctor import host
     from touchd.doctor.screen import check_screen
     from touchd.doctor.start import check_start, failure
     from touchd.service.frame_feed import open_running
@@ -105,7 +105,7 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
     if any(finding.check in ("model", "keypad") and finding.level == "failure" for finding in findings):
         return
     if running is None and choice.kind == "usb":
-        device = usb.examine(settings.device)
+        device = host.examine(settings.device)
         yield from device
         if any(finding.level == "failure" for finding in device):
             return

@@ -9,7 +9,7 @@ import click
 from touchd.bridges import uinput
 from touchd.bridges.area import Area
 from touchd.bridges.screen import KEY_CODES, Keypad, Screen
-from touchd.bridges.slots import BTN_TOUCH
+from touchd.bridges.uinput import BTN_TOUCH
 from touchd.cli.bridge import serve
 from touchd.cli.options import bus_option, config_option
 from touchd.config.apart import load_apart

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from touchd.bridges.fit import CROSSES, LEAST_TOUCHES, Crosses, Touched, fit, keys_of
+from touchd.bridges.area import CROSSES, LEAST_TOUCHES, Crosses, Touched, fit, keys_of
 from touchd.cli.options import bus_option, config_option
 from touchd.client import Subscriber
 from touchd.config.apart import load_apart

@@ -52,7 +52,7 @@ def command(plate_file: Path, acquisition: Acquisition, noise_db: float, output:
         better = here.suggest(given, progress=lambda share: bars.update("layouts", round(100 * share), 100))
     plans = {"given": given, "suggested": better}
     if output is not None:
-        from touchd.calibration.report import draw_expected
+        from touchd.calibration.calibrate import draw_expected
         from touchd.evaluation.plots.session import save
 
         save(draw_expected(said.twin_plate(), {name: (p.error_mm, p.discs_mm) for name, p in plans.items()}), output)

@@ -34,7 +34,7 @@ def command(
     runs goes on after a restart.
     """
     from touchd.calibration.wizard import HANDED, default_socket
-    from touchd.calibration.wizard.crosses import shown
+    from touchd.calibration.wizard.frames import shown
     from touchd.calibration.wizard.state import State
     from touchd.calibration.wizard.worker import Worker, serve
     from touchd.cli.main import missing_extra

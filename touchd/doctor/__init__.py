@@ -1,1 +1,1 @@
-"""Checks of `touchd doctor`: frames (`checks`), computer (`host`), the daemon's start (`start`), USB device (`usb`)."""
+"""Checks of `touchd doctor`: frames (`checks`), computer and DAQ (`host`), touch screen (`screen`), start (`start`)."""

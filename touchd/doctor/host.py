@@ -1,9 +1,11 @@
-"""Checks of `touchd doctor` on this computer: clock, frames of the source, computing time."""
+"""Checks of `touchd doctor` on this computer: clock, the DAQ's entries in sysfs, frames of the source, their cost."""
 
 from __future__ import annotations
 
 import ctypes
+import grp
 import math
+import os
 import time
 from collections.abc import Iterator
 from itertools import count
@@ -12,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.bridges.screen import read
+from touchd.config.schema import DeviceSettings
 from touchd.doctor.checks import Finding, Sample, noise_counts
 from touchd.errors import RecordingValues, SourceError
 from touchd.frame import Counts, Frame
@@ -22,7 +26,12 @@ from touchd.pipeline import Pipeline
 from touchd.recording.format import Reader
 from touchd.service.runner import frames_of
 from touchd.sources.source import Change, LiveSource, Source
+from touchd.sources.usb_protocol import INTERFACE_CLASS
 
+SYSTEM = Path("/")
+_INTERFACE, _ENDPOINT = 4, 5  # descriptor types, USB 2.0 table 9-5
+_BULK_IN = (0x80, 0x02)
+_HIGH_SPEED_MBIT_S = 480.0
 _SILENCE_S = 5.0
 """Longest wait for a device's next frame."""
 _REFERENCE_FRAMES = 256
@@ -51,14 +60,83 @@ def judge_clock(state: int, now_s: float) -> Finding:
     return Finding("clock", "ok", "this computer's clock follows a time server")
 
 
-def take(source: Source, seconds: float) -> Sample:
-    """Read frames until their times span `seconds`.
+def examine(settings: DeviceSettings, system: Path = SYSTEM) -> list[Finding]:
+    """Check the DAQ by /sys and /dev below `system`, without opening it; the last finding fails if it is unusable."""
+    ids = f"{settings.vendor_id:04x}:{settings.product_id:04x}"
+    devices = sorted((system / "sys/bus/usb/devices").glob("*"))
+    found = [device for device in devices if f"{read(device / 'idVendor')}:{read(device / 'idProduct')}" == ids]
+    if not found:
+        return [Finding("device", "failure", f"no device with the ids {ids} is plugged in",
+                        "plug it in; check its cable and power; compare device.vendor_id and device.product_id with "
+                        "lsusb")]  # fmt: skip
+    if settings.serial:
+        serials = [read(device / "serial") for device in found]
+        found = [device for device in found if read(device / "serial") == settings.serial]
+        if not found:
+            return [Finding("device", "failure", f"{ids} has serial number {', '.join(map(repr, serials))}, "
+                            f"not {settings.serial!r}", "correct device.serial")]  # fmt: skip
+    device = found[0]
+    bus, address = int(read(device / "busnum") or 0), int(read(device / "devnum") or 0)
+    name = " ".join(filter(None, (read(device / "product"), read(device / "serial"))))
+    text = f"{ids} {name} on bus {bus:03d} address {address:03d}"
+    several = f"; {len(found)} such devices, touchd uses the first" if len(found) > 1 else ""
+    findings = [
+        Finding("device", "warning", text + several, "set device.serial") if several else Finding("device", "ok", text),
+        check_permissions(system / f"dev/bus/usb/{bus:03d}/{address:03d}"),
+    ]
+    try:
+        findings.append(check_descriptors((device / "descriptors").read_bytes(), read(device / "speed")))
+    except OSError as error:
+        findings.append(Finding("descriptors", "failure", f"cannot be read ({error.strerror})", "plug it in again"))
+    return findings
 
-    Raises
-    ------
-    SourceError
-        Fewer than two frames arrived.
-    """
+
+def check_permissions(node: Path) -> Finding:
+    """Check that this user may open the device node."""
+    try:
+        status = node.stat()
+    except OSError as error:
+        return Finding("permissions", "failure", f"{node}: {error.strerror}", "plug it in again")
+    try:
+        group = grp.getgrgid(status.st_gid).gr_name
+    except KeyError:
+        group = str(status.st_gid)
+    text = f"{node} is of group {group}, mode {status.st_mode & 0o777:04o}"
+    if os.access(node, os.R_OK | os.W_OK):
+        return Finding("permissions", "ok", text)
+    if group == "root":
+        return Finding("permissions", "failure", f"{text}: you may not open it",
+                       "install 60-touchd.rules, with these ids, and plug the device in again")  # fmt: skip
+    return Finding(
+        "permissions", "failure", f"{text}: you may not open it", f"join its group: usermod -aG {group} USER"
+    )
+
+
+def check_descriptors(descriptors: bytes, speed_mbit_s: str) -> Finding:
+    """Find touchd's interface and its bulk IN endpoint in the device's descriptors."""
+    here, found = False, False
+    at = 0
+    while at + 2 <= len(descriptors) and descriptors[at] >= 2:
+        length, kind = descriptors[at], descriptors[at + 1]
+        fields = descriptors[at : at + length]
+        if kind == _INTERFACE and len(fields) >= 9:
+            here = tuple(fields[5:8]) == INTERFACE_CLASS
+        elif kind == _ENDPOINT and len(fields) >= 7:
+            found |= here and (fields[2] & 0x80, fields[3] & 0x03) == _BULK_IN
+        at += length
+    if not found:
+        return Finding("descriptors", "failure", "no interface of touchd's protocol with a bulk endpoint to the host",
+                       "install firmware for protocol 1 on the DAQ: docs/usb-protocol.md")  # fmt: skip
+    speed = float(speed_mbit_s) if speed_mbit_s.replace(".", "", 1).isdecimal() else 0.0
+    text = f"interface of protocol 1, at {speed:g} Mbit/s"
+    if speed < _HIGH_SPEED_MBIT_S:
+        fix = "use a cable and a port for USB 2 (480 Mbit/s): 12 Mbit/s carry some 400 frames per second"
+        return Finding("descriptors", "warning", text, fix)
+    return Finding("descriptors", "ok", text)
+
+
+def take(source: Source, seconds: float) -> Sample:
+    """Read frames until their times span `seconds`; SourceError if fewer than two frames arrived."""
     counts: list[Counts] = []
     sequence: list[int] = []
     t_ns: list[int] = []
@@ -88,12 +166,8 @@ def take(source: Source, seconds: float) -> Sample:
 def untouched(path: Path, model: Model) -> NDArray[np.float64]:
     """Return the mean untouched frame of a recording, of shape (channels, samples), ADC counts.
 
-    Raises
-    ------
-    RecordingError
-        The recording is unreadable, or has no untouched frame.
-    ModelMismatch
-        Recording and model differ in their acquisition.
+    Raises RecordingError if the recording is unreadable, or has no untouched frame; ModelMismatch if recording and
+    model differ in their acquisition.
     """
     reader = Reader(path)
     model.check(reader.acquisition)

@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 
 from touchd.bridges import uinput
-from touchd.bridges.dark import connected, read
-from touchd.bridges.fit import WORST_RMS_MM
+from touchd.bridges.area import WORST_RMS_MM
+from touchd.bridges.screen import connected, read
 from touchd.config.schema import Settings
 from touchd.doctor.checks import Finding, grade
 from touchd.sinks.endpoint import SERVICE

@@ -24,19 +24,9 @@ def failure(check: str, error: TouchdError) -> Finding:
 def check_start(settings: Settings, listen_s: float = 2.5, *, running: bool = False) -> tuple[Parts, list[Finding]]:
     """Open every part of the daemon but its source, and close it again.
 
-    Parameters
-    ----------
-    listen_s : float
-        How long to wait for a `health` message at an address in use; a daemon sends one each second.
-    running : bool
-        Whether a daemon hands out its frames: it need not be stopped.
-
-    Returns
-    -------
-    Parts
-        Closed, except for model and keys.
-    list of Finding
-        One for each part that the settings ask for, in the order in which the daemon opens them.
+    It waits `listen_s` for a `health` message at an address in use; a daemon sends one each second. One that is
+    `running` hands out its frames, and need not be stopped. The parts are closed, except for model and keys; each that
+    the settings ask for has a finding, in the order in which the daemon opens them.
     """
     service = Path(SERVICE.removeprefix("ipc://"))
     if not settings.bus.bind and service.exists():  # the service runs, with a default of its own

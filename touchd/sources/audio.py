@@ -15,12 +15,9 @@ import numpy as np
 import structlog
 from numpy.typing import NDArray
 
-from touchd.audio.capture import Capture
-from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Floats, Samples
+from touchd.audio.capture import Capture, HighPass, Watch, check_band, periods_of, rates_of
+from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Floats, Samples, loop_of, moved
 from touchd.audio.delay import Delay, Doubtful, by_loopback, by_onset, by_reference, check_discs
-from touchd.audio.highpass import HighPass
-from touchd.audio.response import Watch, check_band
-from touchd.audio.waveform import loop_of, moved, periods_of, rates_of
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import ConfigError

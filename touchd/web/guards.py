@@ -38,19 +38,8 @@ _REFUSED = (403, "refused")
 class Access:
     """The addresses under which this server is known, and the token of this start.
 
-    Parameters
-    ----------
-    port : int
-        Where it listens, on loopback.
-    origins : iterable of str
-        Further origins, `https://HOST[:PORT]`, of a reverse proxy.
-    watched : bool
-        Whether a browser needs a session even to look.
-
-    Raises
-    ------
-    ConfigError
-        An origin is malformed.
+    It listens at `port` on loopback; `origins` are further ones, `https://HOST[:PORT]`, of a reverse proxy. Where it is
+    `watched` a browser needs a session even to look. Raises ConfigError if an origin is malformed.
     """
 
     def __init__(self, port: int, origins: Iterable[str] = (), *, watched: bool = False) -> None:
@@ -72,12 +61,7 @@ class Access:
     def refusal(self, scope: Scope, open_paths: Collection[str]) -> tuple[int, str] | None:
         """Return status and text with which to refuse a request or a WebSocket; None admits it.
 
-        Parameters
-        ----------
-        scope : Scope
-            ASGI's, of type `http` or `websocket`.
-        open_paths : collection of str
-            Paths that need no session: the page's files, and what gives a session.
+        `open_paths` need no session: the page's files, and what gives a session.
         """
         socket = scope["type"] == "websocket"
         headers = Headers(scope=scope)
@@ -91,13 +75,11 @@ class Access:
             return _REFUSED
         if scope["path"] in open_paths:
             return None
-        if (acts or self.watched) and not self.has_session(scope):
+        # The cookie of this start.
+        session = HTTPConnection(scope).cookies.get(self.cookie, "")
+        if (acts or self.watched) and not _equal(session, self._session):
             return 401, "open the address that `touchd web` has printed"
         return None
-
-    def has_session(self, scope: Scope) -> bool:
-        """Return whether the request comes with the cookie of this start."""
-        return _equal(HTTPConnection(scope).cookies.get(self.cookie, ""), self._session)
 
 
 class Guard:

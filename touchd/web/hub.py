@@ -63,19 +63,9 @@ class Client:
 
 
 class Hub:
-    """Connects the bus to browsers.
+    """Connects the bus to browsers, by default that of the installed service, or of a touchd on this computer.
 
-    Parameters
-    ----------
-    address : str, optional
-        The bus; by default the installed service, or a touchd on this computer.
-    shows_keys : bool
-        Hand out touches in keypad mode, too.
-
-    Raises
-    ------
-    BusError
-        The address cannot be used.
+    With `shows_keys` it hands out touches in keypad mode, too. Raises BusError if the address cannot be used.
     """
 
     def __init__(self, address: str | None = None, *, shows_keys: bool = False) -> None:
@@ -182,31 +172,28 @@ class Hub:
                     log.warning("not understood", error=str(error))
                     stopped.wait(1.0)
                 try:
-                    hand(self._take_all, newest)
+                    hand(self._take, newest)
                 except RuntimeError:  # the loop has ended
                     return
                 stopped.wait(pace_s)
 
-    def _take_all(self, events: list[Event]) -> None:
+    def _take(self, events: list[Event]) -> None:
+        """Take events into the slots of all browsers; runs in the server's loop."""
         for event in events:
-            self._take(event)
-
-    def _take(self, event: Event) -> None:
-        """Take an event into the slots of all browsers; runs in the server's loop."""
-        self.heard_s = time.monotonic()
-        payload = encode(event)
-        if isinstance(event, PlateEvent):
-            self.keypad = bool(event.keys)
-        elif isinstance(event, HealthEvent):
-            self.history.append(payload)
-            if event.state in ("starting", "stopping"):
-                self.keypad = None  # the new one will say
-        if not self._may_show("touch"):
-            for client in self._clients:
-                client.drop(PRIVATE)
-            for topic in PRIVATE:
-                self._last.pop(topic, None)
-        self._offer(event.type, payload, keep=event.type != "spectrum")
+            self.heard_s = time.monotonic()
+            payload = encode(event)
+            if isinstance(event, PlateEvent):
+                self.keypad = bool(event.keys)
+            elif isinstance(event, HealthEvent):
+                self.history.append(payload)
+                if event.state in ("starting", "stopping"):
+                    self.keypad = None  # the new one will say
+            if not self._may_show("touch"):
+                for client in self._clients:
+                    client.drop(PRIVATE)
+                for topic in PRIVATE:
+                    self._last.pop(topic, None)
+            self._offer(event.type, payload, keep=event.type != "spectrum")
 
     def _offer(self, topic: str, payload: bytes, *, keep: bool) -> None:
         if keep:

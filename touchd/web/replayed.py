@@ -33,9 +33,7 @@ def main(recording: str, folder: str, config: str) -> None:
     alive: list[Contact] = []
     offsets, counts, first_ns = [0], [], None
     with closing(source), (Path(folder) / "frames.jsonl").open("wb") as out:
-        for frame in frames_of(source):
-            if frame is None:
-                continue
+        for frame in filter(None, frames_of(source)):
             first_ns = frame.t_ns if first_ns is None else first_ns
             result = pipeline.process(frame)
             contacts = result.contacts or alive  # none are due where nothing has changed
@@ -49,10 +47,7 @@ def main(recording: str, folder: str, config: str) -> None:
             if len(counts) % _TOLD == 0:
                 print(len(counts), flush=True)
     np.save(Path(folder) / "offsets.npy", np.array(offsets, np.int64))
-    summary = {"plate": plate, "frames": len(counts), "fingers": _runs(counts)}
+    # Where the number of fingers changes: the first frame, and the number from there on.
+    changes = [(n, count) for n, count in enumerate(counts) if n == 0 or count != counts[n - 1]]
+    summary = {"plate": plate, "frames": len(counts), "fingers": changes}
     (Path(folder) / "summary.json").write_bytes(encode(summary))
-
-
-def _runs(counts: list[int]) -> list[tuple[int, int]]:
-    """Return where the number of fingers changes: first frame, and the number from there on."""
-    return [(n, count) for n, count in enumerate(counts) if n == 0 or count != counts[n - 1]]

@@ -1,32 +1,45 @@
-"""READ FIRST: opens all parts of `touchd web`, serves until SIGTERM, and closes them."""
+"""READ FIRST: opens all parts of `touchd web`, serves until SIGTERM, and closes them.
+
+The page's own files are read once: no request's path ever reaches the file system.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import ipaddress
 import logging
 import os
 import signal
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from functools import partial
+from pathlib import Path
 from types import FrameType, ModuleType
 from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Route
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from touchd.errors import AddressInUse, ConfigError, InsecureBind
 from touchd.service.systemd import Notifier
-from touchd.web import calibrate, check, live, pages, replay
+from touchd.web import calibrate, check, live, replay
 from touchd.web.guards import Guard
 from touchd.web.site import Site
 
-VIEWS: tuple[ModuleType, ...] = (pages, live, replay, calibrate, check)
+VIEWS: tuple[ModuleType, ...] = (live, replay, calibrate, check)
 """Each with `routes(site)`."""
+FOLDER = Path(__file__).parent / "static"
+SESSION_PATH = "/session"
+_TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".svg": "image/svg+xml"}
+"""Not the system's, which some computers have wrong."""
 _END_S = 2
 """Open WebSockets may hold up the end for as long."""
 _BEAT_S = 0.25
@@ -37,10 +50,7 @@ _REQUEST_NS = 10_000_000_000
 def bind(address: str) -> socket.socket:
     """Return a socket that listens at HOST:PORT on loopback.
 
-    Raises
-    ------
-    ConfigError, InsecureBind, AddressInUse
-        It is no such address, it is beyond loopback, or it is taken.
+    Raises ConfigError if it is no such address, InsecureBind if it is beyond loopback, AddressInUse if it is taken.
     """
     host, _, port = address.rpartition(":")
     host = {"localhost": "127.0.0.1"}.get(host, host.strip("[]"))
@@ -66,6 +76,37 @@ def bind(address: str) -> socket.socket:
         ) from error
 
 
+def files() -> dict[str, Path]:
+    """Return the page's files by the path under which they are served."""
+    found = {f"/{path.relative_to(FOLDER).as_posix()}": path for path in FOLDER.rglob("*") if path.is_file()}
+    return found | {"/": FOLDER / "index.html", "/favicon.ico": FOLDER / "icon.svg"}
+
+
+def _file(path: Path) -> Callable[[Request], Awaitable[Response]]:
+    content, tag = path.read_bytes(), hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    kind = _TYPES.get(path.suffix, "text/plain")
+    headers = {"etag": f'"{tag}"', "cache-control": "no-cache"}
+
+    async def serve(request: Request) -> Response:
+        if request.headers.get("if-none-match") == headers["etag"]:
+            return Response(status_code=304, headers=headers)
+        return Response(content, media_type=kind, headers=headers)
+
+    return serve
+
+
+async def _session(site: Site, request: Request) -> Response:
+    """Give a session for the token: a cookie that no script and no other site can use."""
+    token = (await request.body()).decode("ascii", "replace")
+    session = site.access.session_for(token)
+    if session is None:
+        return JSONResponse({"acts": False}, 403)
+    answer = JSONResponse({"acts": True})
+    # Without a path: under a reverse proxy's prefix the browser takes the page's own.
+    answer.set_cookie(site.access.cookie, session, path=None, httponly=True, samesite="strict")
+    return answer
+
+
 def make_app(site: Site) -> Starlette:
     """Return the application: the views' routes behind the guard."""
 
@@ -81,8 +122,11 @@ def make_app(site: Site) -> Starlette:
             await asyncio.gather(*site.tasks, return_exceptions=True)
             await asyncio.to_thread(site.hub.stop)
 
-    routes = [route for view in VIEWS for route in view.routes(site)]
-    guard = Middleware(Guard, access=site.access, open_paths=pages.OPEN)
+    page = files()
+    routes: list[BaseRoute] = [Route(path, _file(file)) for path, file in page.items()]
+    routes.append(Route(SESSION_PATH, partial(_session, site), methods=["POST"]))
+    routes += [route for view in VIEWS for route in view.routes(site)]
+    guard = Middleware(Guard, access=site.access, open_paths={*page, SESSION_PATH})
     return Starlette(routes=routes, middleware=[guard], lifespan=lifespan)
 
 

@@ -21,8 +21,8 @@ import numpy as np
 import zmq
 
 from tests.processes import ROOT, environment
+from touchd.audio.capture import periods_of
 from touchd.audio.card import Floats, Samples
-from touchd.audio.waveform import periods_of
 from touchd.calibration.calibrate import make_model
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import LogSettings, Settings

@@ -26,9 +26,9 @@ from tests.system.bridges.rig import Bridge, Daemon, bridge, daemon
 from tests.unit.bridges.events import MS, contact, health, touch
 from tests.unit.bridges.kernel import Kernel
 from touchd.bridges.area import Area
-from touchd.bridges.following import Following
+from touchd.bridges.bridge import Following
 from touchd.bridges.screen import Screen
-from touchd.bridges.slots import SLOTS
+from touchd.bridges.uinput import SLOTS
 from touchd.config.schema import InputSettings
 from touchd.event import Contact, Phase
 

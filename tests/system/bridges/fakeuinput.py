@@ -12,7 +12,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from touchd.bridges import bridge, dark, following, uinput
+from touchd.bridges import bridge, screen, uinput
 from touchd.cli.main import main
 from touchd.client import Subscriber
 
@@ -27,9 +27,9 @@ def ioctl(_fd: int, request: int, argument: object = 0) -> int:
 
 if __name__ == "__main__":
     uinput.NODE = Path(sys.argv[1])
-    uinput.DEVICES, dark.CONNECTORS = (uinput.NODE.parent / name for name in ("devices", "drm"))
+    uinput.DEVICES, screen.CONNECTORS = (uinput.NODE.parent / name for name in ("devices", "drm"))
     if os.environ.get("PATIENT"):
-        following.SILENCE_NS = 10**12
+        bridge.SILENCE_NS = 10**12
         vars(bridge)["Subscriber"] = partial(Subscriber, max_age_s=None)
     fcntl.ioctl = ioctl  # type: ignore[assignment]  # has overloads
     sys.exit(main(sys.argv[2:]))

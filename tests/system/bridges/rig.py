@@ -17,11 +17,11 @@ import zmq
 from tests.processes import PATIENCE_S, ROOT, environment
 from tests.unit.bridges.events import contact, health, touch
 from tests.unit.bridges.kernel import EVENT, Kernel
-from touchd.bridges import slots
+from touchd.bridges import uinput
 from touchd.event import Contact, State, encode
 
 SCREEN = {"TOUCHD_INPUT__SCREEN_MM": "0,0,200,100"}
-_SYN = EVENT.pack(0, 0, slots.EV_SYN, slots.SYN_REPORT, 0)
+_SYN = EVENT.pack(0, 0, uinput.EV_SYN, uinput.SYN_REPORT, 0)
 
 
 class Daemon:

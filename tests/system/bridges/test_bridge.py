@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from tests.processes import PATIENCE_S
 from tests.unit.bridges.events import contact, touch
 from touchd.bridges import bridge
-from touchd.bridges.following import Down
+from touchd.bridges.bridge import Down
 from touchd.config.schema import BusSettings
 from touchd.event import KeyEvent, TouchEvent
 from touchd.sinks.zeromq import ZeromqSink

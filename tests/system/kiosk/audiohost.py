@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.audio.waveform import loop_of
+from touchd.audio.card import loop_of
 from touchd.calibration.calibrate import fit_recording, make_model
 from touchd.calibration.plate_file import read_plate_file
 from touchd.config.rigs import AudioSettings

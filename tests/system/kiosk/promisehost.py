@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tests.system.kiosk.audiohost import NOISE, PLACES_MM, SAID, responses
-from touchd.bridges.fit import CROSSES, LEAST_TOUCHES
+from touchd.bridges.area import CROSSES, LEAST_TOUCHES
 from touchd.config.rigs import AudioSettings
 from touchd.sources.audio import acquisition_of
 from touchd.twin.physics.finger import Contact

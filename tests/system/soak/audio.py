@@ -17,8 +17,8 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 import numpy as np  # noqa: E402 - after its threads are limited
 
 from tests.audiocard import FakeCard, Floats, answers  # noqa: E402 - as above
+from touchd.audio.capture import HighPass  # noqa: E402 - as above
 from touchd.audio.card import CardXrun, Samples  # noqa: E402 - as above
-from touchd.audio.highpass import HighPass  # noqa: E402 - as above
 from touchd.cli.demo import SESSION  # noqa: E402 - as above
 from touchd.config.rigs import AudioSettings  # noqa: E402 - as above
 from touchd.config.schema import DeviceSettings, LogSettings  # noqa: E402 - as above

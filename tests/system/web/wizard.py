@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from touchd.calibration.report import draw_expected, draw_residual, draw_response
+from touchd.calibration.calibrate import draw_expected, draw_residual, draw_response
 from touchd.calibration.walk import target_mm
 from touchd.calibration.wizard.state import NOTHING
 from touchd.frame import Plate

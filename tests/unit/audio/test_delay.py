@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from touchd.audio.card import loop_of, moved
 from touchd.audio.delay import Doubtful, by_onset, by_reference
-from touchd.audio.waveform import loop_of, moved
 from touchd.frame import ACQUISITIONS
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.simulate import DEFAULT_PLATE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.audio.highpass import HighPass
+from touchd.audio.capture import HighPass
 
 PERIOD = 96
 

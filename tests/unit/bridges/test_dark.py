@@ -8,10 +8,9 @@ import pytest
 
 from tests.unit.bridges.events import MS, contact
 from tests.unit.bridges.kernel import Kernel
-from touchd.bridges import dark
+from touchd.bridges import screen, uinput
 from touchd.bridges.area import Area
-from touchd.bridges.dark import HoldOff
-from touchd.bridges.screen import Keypad, Screen
+from touchd.bridges.screen import HoldOff, Keypad, Screen
 from touchd.config.schema import InputSettings
 from touchd.event import KeyEvent
 
@@ -52,7 +51,10 @@ def test_keypad() -> None:
     """In the dark no key is typed, and one that was held is released."""
     written: list[bytes] = []
 
-    class Device:
+    class Device(uinput.Device):
+        def __init__(self) -> None:
+            """It is not the kernel's."""
+
         def write(self, frame: bytes) -> None:
             written.append(frame)
 
@@ -86,8 +88,8 @@ def test_system(
     dpms: dict[str, str], lights: list[str], expected: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is dark when all connected screens are off, or all backlights."""
-    monkeypatch.setattr(dark, "CONNECTORS", tmp_path / "drm")
-    monkeypatch.setattr(dark, "BACKLIGHTS", tmp_path / "backlight")
+    monkeypatch.setattr(screen, "CONNECTORS", tmp_path / "drm")
+    monkeypatch.setattr(screen, "BACKLIGHTS", tmp_path / "backlight")
     for name, value in dpms.items():
         folder = tmp_path / f"drm/card0-{name}"
         folder.mkdir(parents=True)
@@ -96,4 +98,4 @@ def test_system(
     for n, value in enumerate(lights):
         (tmp_path / f"backlight/{n}").mkdir(parents=True)
         (tmp_path / f"backlight/{n}/bl_power").write_text(value + "\n")
-    assert dark.is_dark() is expected
+    assert screen.is_dark() is expected

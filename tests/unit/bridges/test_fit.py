@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.bridges.events import contact, touch
-from touchd.bridges.area import Area
-from touchd.bridges.fit import CROSSES, Crosses, Touched, fit
+from touchd.bridges.area import CROSSES, Area, Crosses, Touched, fit
 from touchd.cli.main import main
 from touchd.cli.map import page_of
 from touchd.config.schema import InputSettings

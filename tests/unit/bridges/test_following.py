@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.bridges.events import MS, contact, health, touch
-from touchd.bridges.following import SILENCE_NS, Following
+from touchd.bridges.bridge import SILENCE_NS, Following
 from touchd.event import State
 
 

@@ -8,10 +8,10 @@ from msgspec.structs import replace
 
 from tests.unit.bridges.events import contact
 from tests.unit.bridges.kernel import Kernel
-from touchd.bridges import slots
+from touchd.bridges import uinput
 from touchd.bridges.area import Area, Place
 from touchd.bridges.screen import Screen
-from touchd.bridges.slots import Finger, Slots, encode, fingers_at, lift_all
+from touchd.bridges.uinput import Finger, Slots, encode, fingers_at, lift_all
 from touchd.config.schema import InputSettings
 
 FINGER = st.builds(
@@ -38,7 +38,7 @@ def test_slots_equal_fingers(frames: list[dict[int, Finger]]) -> None:
         assert held.keys() <= fingers.keys()
         kept = {number: slot for number, slot in before.items() if number in fingers}
         assert kept.items() <= held.items()
-        assert len(held) == min(len(fingers), slots.SLOTS - len(before) + len(kept)), "no slot stays empty"
+        assert len(held) == min(len(fingers), uinput.SLOTS - len(before) + len(kept)), "no slot stays empty"
         assert kernel.live == {slot: values(number, fingers[number]) for number, slot in held.items()}
         report = kernel.reports[-1]
         assert report.touched == bool(held)
@@ -80,7 +80,7 @@ def test_units() -> None:
     down.force = 0.0
     assert fingers_at({1: place})[1].pressure == 1
     down.force = 7.0
-    assert fingers_at({1: place})[1].pressure == slots.PRESSURE_MAX
+    assert fingers_at({1: place})[1].pressure == uinput.PRESSURE_MAX
 
 
 def test_size() -> None:
@@ -98,9 +98,9 @@ def test_resting() -> None:
     written: list[bytes] = []
 
     class Device(Kernel):
-        def write(self, data: bytes) -> None:
-            written.append(data)
-            super().write(data)
+        def write(self, frame: bytes) -> None:
+            written.append(frame)
+            super().write(frame)
 
     kernel = Device()
     screen, counts = Screen(Area(InputSettings(screen_mm=(0, 0, 200, 100))), kernel), []

@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 
 from tests.needs import need
-from touchd.bridges import slots, uinput
+from touchd.bridges import uinput
 from touchd.bridges.screen import KEY_CODES
-from touchd.bridges.slots import BTN_TOUCH
-from touchd.bridges.uinput import Device, screen_axes
+from touchd.bridges.uinput import BTN_TOUCH, Device, screen_axes
 from touchd.errors import BridgeError
 
 Asked = list[tuple[int, object]]
@@ -100,7 +99,7 @@ def test_codes() -> None:
     need(HEADER.exists(), f"{HEADER} is missing: apt install linux-libc-dev")
     lines = re.findall(r"(?m)^#define (\w+)\s+(0x[0-9a-f]+|\d+)\b", HEADER.read_text())
     linux = {name: int(number, 0) for name, number in lines}
-    ours = {name: number for name, number in vars(slots).items() if name in linux}
-    assert len(ours) == 16
+    ours = {name: number for name, number in vars(uinput).items() if name in linux}
+    assert len(ours) == 17
     assert ours == {name: linux[name] for name in ours}
     assert {key: linux[f"KEY_{name}"] for key, name in KEYS.items()} == KEY_CODES

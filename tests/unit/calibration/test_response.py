@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.calibration.disc_response import DiscResponse
-from touchd.calibration.loads import Discs, Edges, Loss, attachments, lines_along
+from touchd.calibration.loads import Discs, Edges, Guess, Loss, attachments, lines_along
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape, shape_of
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.mounting import attach
@@ -64,7 +64,7 @@ def test_it_is_the_twins(plate: ReducedPlate, lever_mm: float, spread: float) ->
     modes = load(solve(PLATE, plate.counts, 300e3), PLATE, layout)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
     discs = DISCS._replace(gyration2_m2=1e-6 * lever_mm**2 + spread * DISCS.face_m2)
-    found = DiscResponse(plate, plate.reference, discs, LOSS, NU).untouched()
+    found = DiscResponse(plate, Guess(plate.reference, discs, LOSS, EDGES), NU).untouched()
     found = found / (GLASS.rho_kg_m3 * 5e-3 * 70e-3 * 60e-3)  # per mass of the plate
     assert np.abs(found - expected).max() < 2e-3 * np.abs(expected).max()
 
@@ -83,9 +83,9 @@ def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
     modes = attach(load(solve(PLATE, plate.counts, 300e3), PLATE, layout), PLATE, attachments(EDGES, PLATE), 0.0, 75e3)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
     discs = DISCS._replace(stiffness_m3=0.0, gyration2_m2=DISCS.face_m2, offset_m=np.zeros((3, 2)))
-    held = lines_along(plate, EDGES.kinds), EDGES
-    found = DiscResponse(plate, plate.reference, discs, LOSS, NU, held).untouched()
-    free = DiscResponse(plate, plate.reference, discs, LOSS, NU).untouched()
+    guess = Guess(plate.reference, discs, LOSS, EDGES)
+    found = DiscResponse(plate, guess, NU, lines_along(plate, EDGES.kinds)).untouched()
+    free = DiscResponse(plate, guess, NU).untouched()
     mass = GLASS.rho_kg_m3 * 5e-3 * 70e-3 * 60e-3
     assert np.abs(found / mass - expected).max() < 5e-3 * np.abs(expected).max()
     assert np.abs(free / mass - expected).max() > 0.3 * np.abs(expected).max()
@@ -100,8 +100,8 @@ def test_a_turned_plate(plate: ReducedPlate, orientation: int) -> None:
     other = DISCS._replace(centres_m=centres_m, offset_m=np.where(flipped, -1, 1) * DISCS.offset_m)
     found = []
     for discs, edges in ((DISCS, EDGES), (other, EDGES.turned(orientation))):
-        held = lines_along(plate, edges.kinds), edges
-        found.append(DiscResponse(plate, plate.reference, discs, LOSS, NU, held).untouched())
+        guess = Guess(plate.reference, discs, LOSS, edges)
+        found.append(DiscResponse(plate, guess, NU, lines_along(plate, edges.kinds)).untouched())
     np.testing.assert_allclose(found[1], found[0], atol=1e-6 * np.abs(found[0]).max())
 
 
@@ -112,7 +112,7 @@ def differences(plate: ReducedPlate, name: str, of: Discs = DISCS) -> Complex:
     lines = lines_along(plate, EDGES.kinds)
 
     def response(shape: Shape = s, discs: Discs = of, loss: Loss = LOSS, edges: Edges = EDGES) -> Complex:
-        return DiscResponse(plate, shape, discs, loss, NU, (lines, edges)).untouched()
+        return DiscResponse(plate, Guess(shape, discs, loss, edges), NU, lines).untouched()
 
     def central(at: Callable[[float], Complex], step: float) -> Complex:
         return np.asarray((at(step) - at(-step)) / (2 * step))
@@ -146,8 +146,8 @@ NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "gyration2", "radiu
 @pytest.mark.parametrize("name", NAMES)
 def test_derivatives(plate: ReducedPlate, name: str) -> None:
     """Each analytic derivative is that of central differences."""
-    held = lines_along(plate, EDGES.kinds), EDGES
-    found = DiscResponse(plate, near(plate), DISCS, LOSS, NU, held).slopes({name})[name]
+    lines, guess = lines_along(plate, EDGES.kinds), Guess(near(plate), DISCS, LOSS, EDGES)
+    found = DiscResponse(plate, guess, NU, lines).slopes({name})[name]
     expected = differences(plate, name)
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
@@ -155,16 +155,16 @@ def test_derivatives(plate: ReducedPlate, name: str) -> None:
 @pytest.mark.parametrize("name", ["mass", "gyration2", "radius", "h"])
 def test_derivatives_of_discs_of_little_gyration(plate: ReducedPlate, name: str) -> None:
     """They hold for masses that are less than evenly spread."""
-    held = lines_along(plate, EDGES.kinds), EDGES
     of = DISCS._replace(gyration2_m2=0.4 * DISCS.face_m2)
-    found = DiscResponse(plate, near(plate), of, LOSS, NU, held).slopes({name})[name]
+    lines, guess = lines_along(plate, EDGES.kinds), Guess(near(plate), of, LOSS, EDGES)
+    found = DiscResponse(plate, guess, NU, lines).slopes({name})[name]
     expected = differences(plate, name, of)
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 def test_any_two_discs(plate: ReducedPlate) -> None:
     """The way between two discs sounds alike in both directions, and from the emitter it is the response."""
-    response = DiscResponse(plate, plate.reference, DISCS, LOSS, NU)
+    response = DiscResponse(plate, Guess(plate.reference, DISCS, LOSS, EDGES), NU)
     between = response.between()
     np.testing.assert_allclose(between, between.transpose(1, 0, 2), atol=1e-9 * np.abs(between).max())
     np.testing.assert_array_equal(between[0, 1:], response.untouched())

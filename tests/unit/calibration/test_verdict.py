@@ -3,16 +3,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.calibration.verdict import Evidence, Judgement, Parameter, judge
+from touchd.calibration.plate_fit import Judgement, Parameter, judge
 
 PLAIN = Parameter("thickness", "mm", 5.0, 5.01, 0.005, False)
-GOOD = Evidence(
-    left=np.full(4, 1e-3), noise_share=1e-6, frame_noise=1e-3, wavelength_mm=23.0, parameters=(PLAIN,), scale_mm=0.05
-)
+GOOD = {
+    "shares": np.full(4, 1e-3), "noise_share": 1e-6, "frame_noise": 1e-3, "wavelength_mm": 23.0, "parameters": (PLAIN,),
+    "scale_mm": 0.05,
+}  # fmt: skip
 
 
 def judged(**other: object) -> Judgement:
-    return judge(GOOD._replace(**other))  # type: ignore[arg-type]  # the fields vary
+    return judge(**(GOOD | other))  # type: ignore[arg-type]  # the fields vary
 
 
 def test_good() -> None:
@@ -25,11 +26,11 @@ def test_good() -> None:
 @pytest.mark.parametrize(
     ("other", "verdict", "reason"),
     [
-        ({"left": np.full(4, 0.03)}, "usable", "leave 3.0%"),
-        ({"left": np.full(4, 0.4)}, "poor", "rectangular pane"),
-        ({"left": np.array([1e-3, np.nan, 1e-3, 1e-3])}, "usable", "receiver 2 is dead"),
-        ({"left": np.array([1e-3, 1e-3, 3e-2, 1e-3])}, "usable", "receiver 3 does not fit"),
-        ({"left": np.array([np.nan, np.nan, np.nan, 1e-3])}, "poor", "receiver 1 is dead"),
+        ({"shares": np.full(4, 0.03)}, "usable", "leave 3.0%"),
+        ({"shares": np.full(4, 0.4)}, "poor", "rectangular pane"),
+        ({"shares": np.array([1e-3, np.nan, 1e-3, 1e-3])}, "usable", "receiver 2 is dead"),
+        ({"shares": np.array([1e-3, 1e-3, 3e-2, 1e-3])}, "usable", "receiver 3 does not fit"),
+        ({"shares": np.array([np.nan, np.nan, np.nan, 1e-3])}, "poor", "receiver 1 is dead"),
         ({"parameters": (PLAIN._replace(fitted=5.2, at_prior=True),)}, "usable", "thickness: 5 mm was said, 5.2"),
         ({"scale_mm": 0.5}, "usable", "the scale is known to 0.50 mm"),
         ({"frame_noise": 0.02}, "usable", "noise of -34 dB"),
@@ -47,7 +48,7 @@ def test_why_not_better(other: dict[str, object], verdict: str, reason: str) -> 
 
 def test_worse_physics_expect_more() -> None:
     """The expected error grows with what the fit leaves."""
-    errors = [judged(left=np.full(4, left)).expected_mm for left in (1e-4, 1e-3, 1e-2, 1e-1)]
+    errors = [judged(shares=np.full(4, left)).expected_mm for left in (1e-4, 1e-3, 1e-2, 1e-1)]
     assert errors == sorted(errors)
     assert errors[-1] > 3 * errors[0]
 

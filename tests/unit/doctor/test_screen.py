@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from touchd.bridges import dark, uinput
+from touchd.bridges import screen as bridges
+from touchd.bridges import uinput
 from touchd.config.schema import Settings
 from touchd.doctor import screen
 from touchd.doctor.checks import Finding
@@ -26,7 +27,7 @@ def system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(screen, "UDEV", tmp_path / "udev")
     monkeypatch.setattr(screen, "BUS", tmp_path / "bus")
     monkeypatch.setattr(screen, "PROCESSES", tmp_path / "proc")
-    monkeypatch.setattr(dark, "CONNECTORS", tmp_path / "drm")
+    monkeypatch.setattr(bridges, "CONNECTORS", tmp_path / "drm")
     desktop(tmp_path, ["weston"], {"HDMI-A-1": "connected", "DP-1": "disconnected"})
     return tmp_path
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.config.schema import DeviceSettings
-from touchd.doctor.usb import check_descriptors, check_permissions, examine
+from touchd.doctor.host import check_descriptors, check_permissions, examine
 from touchd.sources.usb_protocol import INTERFACE_CLASS
 
 DEVICE = bytes([18, 1, 0, 2, 255, 0, 0, 64, 9, 18, 1, 0, 0, 1, 1, 2, 3, 1])

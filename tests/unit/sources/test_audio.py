@@ -11,9 +11,8 @@ import pytest
 
 from tests.audiocard import FakeCard, answers
 from tests.processes import PATIENCE_S
-from touchd.audio.card import Card, CardAbsent
-from touchd.audio.highpass import HighPass
-from touchd.audio.waveform import loop_of, periods_of, rates_of
+from touchd.audio.capture import HighPass, periods_of, rates_of
+from touchd.audio.card import Card, CardAbsent, loop_of
 from touchd.cli.demo import SESSION
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import DeviceSettings, Settings

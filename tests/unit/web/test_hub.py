@@ -28,7 +28,7 @@ def plate(*keys: PlateKey) -> PlateEvent:
 
 
 def take(hub: Hub, event: Event) -> None:
-    hub._take(event)
+    hub._take([event])
 
 
 def handed(hub: Hub, client: Client) -> list[dict[str, Any]]:

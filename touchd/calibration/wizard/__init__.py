@@ -3,12 +3,11 @@
 page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
 
 - `worker.py`: READ FIRST: takes commands, runs one job at a time, says its state to whoever watches
-- `state.py`: what is known so far, on disk after each step: a restart goes on from there
+- `state.py`: what is known so far, on disk after each step and tap: a restart goes on from there. What taps tell says
+  `touchd.calibration.taps`
 - `frames.py`: ten seconds that nobody touches; a finger begins them again. What a tap is worth; where to tap says
-  `touchd.calibration.walk`
-- `session.py`: what taps tell, kept tap by tap; `touchd.calibration.error_map` has the expected error over the plate
-- `crosses.py`: where the screen lies, by touches at crosses
-- `verbs.py`: `touchd calibrate` and `touchd train` in a child process
+  `touchd.calibration.walk`. Where the screen lies, by touches at crosses
+- `models.py`: `touchd calibrate` and `touchd train` in a child process; a model on trial in the daemon
 
 The socket takes one JSON object a line, and answers with one.
 """

@@ -1,24 +1,35 @@
-"""What the wizard takes of a daemon's frames: seconds that nobody touches, which a finger begins again, and taps.
+"""What the wizard takes of a daemon: untouched seconds, which a finger begins again, taps, and touches at crosses.
 
 A tap is worth something if it is one steady fingertip, loud enough, where it should be; else it has a reason why not.
+Touches at crosses that the page shows tell where the screen lies on the plate, as those of `touchd map` do.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
 import threading
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.bridges.area import LEAST_TOUCHES, Crosses, Mapping, Touched, fit, keys_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.taps import FITS, Taps, turned
-from touchd.config.schema import Settings
-from touchd.errors import BusError, CalibrationError
+from touchd.client import Subscriber
+from touchd.config.edit import set_keys
+from touchd.config.load import load
+from touchd.config.schema import InputSettings, Settings
+from touchd.errors import BusError, BusTimeout, CalibrationError, OutputError
 from touchd.evaluation.dataset import complex_bins
+from touchd.event import PlateEvent
+from touchd.files import replacing
 from touchd.frame import Frame
 from touchd.localization.atlas import Atlas
 from touchd.outcome import Outcome
@@ -53,6 +64,11 @@ BESIDE_MM = 12.0
 """Nobody misses a target by more."""
 KEPT = 12
 """Frames of a tap that are kept."""
+SILENT_S = 3.0
+"""A daemon that runs says its health each second."""
+_LOOK_S = 0.2
+_TAKEN_S = 15.0
+"""How long touchd-mapping.service may need."""
 
 
 class Stopped(Exception):
@@ -76,6 +92,16 @@ def refuse_keypad(keypad: bool) -> None:
         )  # fmt: skip
 
 
+def frames_until(stop: threading.Event, source: DaemonSource, after: str) -> Iterator[Frame]:
+    """Yield a daemon's frames; Stopped if `stop` was set, BusError if the daemon has ended: what comes `after` that."""
+    for frame in frames_of(source):
+        if stop.is_set():
+            raise Stopped
+        if frame is not None:
+            yield frame
+    raise BusError("the daemon has ended", "", after)
+
+
 def meta_of(source: DaemonSource, said: PlateFile) -> Meta:
     """Return the description of a recording of a daemon's frames."""
     return describe(source.acquisition, said.described(), source.description.rate_hz, source="calibrate")
@@ -84,25 +110,13 @@ def meta_of(source: DaemonSource, said: PlateFile) -> Meta:
 def take_untouched(
     source: DaemonSource, said: PlateFile, path: Path, seconds: float, stop: threading.Event, progress: Progress
 ) -> None:
-    """Write frames that nobody touches to `path`.
-
-    Raises
-    ------
-    Stopped
-        `stop` was set.
-    BusError
-        The daemon has ended.
-    """
+    """Write frames that nobody touches to `path`; Stopped if `stop` was set, BusError if the daemon has ended."""
     pipeline = Pipeline(source.acquisition, None, Settings())
     wanted = max(round(seconds * source.description.rate_hz), 1)
     counts = np.empty((wanted, *source.acquisition.shape), np.int16)
     sequence, t_ns = np.empty(wanted, np.int64), np.empty(wanted, np.int64)
     kept = touched = 0
-    for frame in frames_of(source):
-        if stop.is_set():
-            raise Stopped
-        if frame is None:
-            continue
+    for frame in frames_until(stop, source, "the seconds begin again once it runs"):
         outcome = pipeline.process(frame).outcome
         touched = touched + 1 if outcome is Outcome.UNCALIBRATED else 0
         if touched >= TOUCHED_FRAMES:
@@ -118,7 +132,6 @@ def take_untouched(
         if kept == wanted:
             write(path, Recording(meta_of(source, said), counts, sequence, t_ns - t_ns[0]))
             return
-    raise BusError("the daemon has ended", "", "the seconds begin again once it runs")
 
 
 class Tapped(NamedTuple):
@@ -201,3 +214,65 @@ class Tapper:
             return made._replace(reason="beside")
         self._energies.append(energy)
         return made
+
+
+def take_crosses(
+    address: str | None, stop: threading.Event, due: Callable[[Any], object], silent_s: float = SILENT_S
+) -> list[Touched]:
+    """Take a touch at each cross; `due` is called with the next one, for the page.
+
+    While the daemon has said nothing for `silent_s` its `at` is None.
+
+    Raises Stopped if `stop` was set; CalibrationError if the plate is a keypad.
+    """
+    crosses, shown, heard_s = Crosses(), None, time.monotonic()
+    with Subscriber(address, ("touch", "plate", "health"), max_age_s=None) as events:
+        while crosses.due:
+            silent = time.monotonic() - heard_s > silent_s
+            cross = {"number": len(crosses.taken) + 1, "of": LEAST_TOUCHES, "at": None if silent else crosses.due}
+            if cross != shown:
+                due(shown := cross)
+            if stop.is_set():
+                raise Stopped
+            with contextlib.suppress(BusTimeout):
+                event = events.receive(_LOOK_S)
+                heard_s = time.monotonic()
+                refuse_keypad(isinstance(event, PlateEvent) and bool(event.keys))
+                crosses.feed(event)
+    return crosses.taken
+
+
+def keep(
+    touched: Sequence[Touched], config: Path, handed: Path, *, writable: bool | None = None
+) -> dict[str, Any] | None:
+    """Fit the mapping, write it to the configuration, and return it as `shown` does.
+
+    Where the configuration is root's, the touches are left at `handed`: touchd-mapping.service fits and writes them.
+
+    Raises BridgeError if no mapping explains the touches; OutputError if nobody writes it.
+    """
+    mapping = fit(touched)
+    if os.access(config.parent, os.W_OK) if writable is None else writable:
+        set_keys(config, "input", keys_of(mapping))
+    else:
+        with replacing(handed) as file:
+            file.write(json.dumps(touched).encode())
+        _await(mapping, config, handed)
+    return shown(load(config).input)
+
+
+def shown(settings: InputSettings) -> dict[str, Any] | None:
+    """Return where the screen lies, for the page; None where nobody knows."""
+    if not settings.screen_mm:
+        return None
+    return {"screen_mm": list(settings.screen_mm), "rotate": settings.rotate, "residual_mm": settings.residual_mm}
+
+
+def _await(mapping: Mapping, config: Path, handed: Path) -> None:
+    until_s = time.monotonic() + _TAKEN_S
+    while time.monotonic() < until_s:
+        found = load(config if config.exists() else None).input
+        if (tuple(found.screen_mm), found.rotate) == (mapping.screen_mm, mapping.rotate):
+            return
+        time.sleep(_LOOK_S)
+    raise OutputError("nobody has written the mapping", str(config), f"as root: touchd map --from {handed}")

@@ -20,12 +20,9 @@ from typing import Any
 import structlog
 
 from touchd.calibration.wizard import MOST_BYTES
-from touchd.calibration.wizard.crosses import keep, take_crosses
-from touchd.calibration.wizard.frames import Stopped, open_feed, take_untouched
-from touchd.calibration.wizard.session import Session, compare
-from touchd.calibration.wizard.state import State
-from touchd.calibration.wizard.trial import Trial
-from touchd.calibration.wizard.verbs import fit, train
+from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_crosses, take_untouched
+from touchd.calibration.wizard.models import Trial, fit, train
+from touchd.calibration.wizard.state import State, collect, compare, tell, undo
 from touchd.errors import AddressInUse, BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.service.systemd import Notifier
 
@@ -61,7 +58,7 @@ class Worker:
         self, state: State, control: Path, target: Path, seconds: float, config: Path, handed: Path,
         bus: str | None = None,
     ) -> None:  # fmt: skip
-        self._state, self._control, self._target, self._seconds = state, control, target, seconds
+        self._state, self._control, self._seconds = state, control, seconds
         self._trial = Trial(state, target, control)
         self._config, self._handed, self._bus = config, handed, bus
         self._one = threading.Lock()
@@ -70,7 +67,7 @@ class Worker:
         self._jobs: dict[str, Job] = {
             "untouched": self._take,
             "fit": self._fit,
-            "taps": self._tap,
+            "taps": lambda stop: self._with_frames(stop, lambda feed: collect(self._state, feed, stop)),
             "crosses": self._map,
             "train": self._train,
         }
@@ -100,15 +97,12 @@ class Worker:
                     raise CalibrationError("a fit or a training runs", "", "wait for its end, or stop it first")
                 found = command(asked)
         except TouchdError as error:
-            return {"ok": False, "problem": f"{error.where}: {error.what}" if error.where else error.what,
-                    "fix": error.fix}  # fmt: skip
+            return {"ok": False} | _told(error)
         return {"ok": True} | (found or {})
 
     def _commands(self) -> dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]]:
-        return {
-            "measures": self._measures, "untouched": lambda _: self._run("untouched"),
-            "fit": lambda _: self._run("fit"),
-            "taps": lambda _: self._run("taps"), "crosses": lambda _: self._run("crosses"), "train": self._ask_to_train,
+        return {name: lambda _, job=name: self._run(job) for name in self._jobs} | {
+            "measures": lambda asked: self._state.set_plate(asked["plate"]), "train": self._ask_to_train,
             "pause": lambda _: self._halt(), "undo": lambda _: self._undo(),
             "try": self._try, "take": lambda _: self._trial.take(), "rollback": lambda _: self._trial.go_back(),
             "compare": lambda _: self._compare(), "begin": lambda _: self._begin(), "picture": self._picture,
@@ -116,14 +110,12 @@ class Worker:
 
     # -- commands ------------------------------------------------------------------------------------
 
-    def _measures(self, asked: dict[str, Any]) -> None:
-        self._state.set_plate(asked["plate"])
-
     def _undo(self) -> None:
         """Take back the last good tap."""
         running = self._state["running"]
         self._halt()
-        Session(self._state).undo()
+        if undo(self._state):
+            tell(self._state)
         if running:
             self._run(running)
 
@@ -178,8 +170,7 @@ class Worker:
         except Stopped:
             return
         except TouchdError as error:
-            self._state.set(running=None, problem=f"{error.where}: {error.what}" if error.where else error.what,
-                            fix=error.fix)  # fmt: skip
+            self._state.set(running=None, **_told(error))
         except Exception as error:
             log.exception("the job failed")
             self._state.set(running=None, problem=f"internal error: {error!r}", fix="see the log: journalctl")
@@ -198,17 +189,13 @@ class Worker:
         self._trial.look()
         self._state.set(result=result, compared=None, expected=None)
         if result["model"] and self._state["taps"]:
-            Session(self._state).tell()
+            tell(self._state)
         self._state.set(running=None, note="")
 
     def _train(self, stop: threading.Event) -> None:
         trained = train(self._state, stop, self._progress)
         self._trial.look()
         self._state.set(running=None, trained=trained, note="")
-
-    def _tap(self, stop: threading.Event) -> None:
-        session = Session(self._state)
-        self._with_frames(stop, lambda feed: session.collect(feed, stop))
 
     def _map(self, stop: threading.Event) -> None:
         try:
@@ -234,15 +221,14 @@ class Worker:
         self._state.set(share=share, note=note)
 
 
+def _told(error: TouchdError) -> dict[str, str]:
+    return {"problem": f"{error.where}: {error.what}" if error.where else error.what, "fix": error.fix}
+
+
 async def serve(worker: Worker, state: State, path: Path, manager: Notifier, ready: Callable[[], object]) -> None:
     """Listen at `path` until SIGTERM or SIGINT.
 
-    Raises
-    ------
-    AddressInUse
-        Another wizard listens there.
-    OutputError
-        No socket can be made there.
+    Raises AddressInUse if another wizard listens there; OutputError if no socket can be made there.
     """
     ended = asyncio.Event()
 

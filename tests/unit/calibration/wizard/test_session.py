@@ -19,8 +19,8 @@ from tests.unit.calibration.plates import PLATE
 from tests.unit.calibration.wizard.test_tapping import Plate as Tapping
 from touchd.calibration.taps import scatter_of
 from touchd.calibration.walk import target_mm
+from touchd.calibration.wizard import state as session
 from touchd.calibration.wizard.frames import Tapped
-from touchd.calibration.wizard.session import Session
 from touchd.calibration.wizard.state import State
 from touchd.errors import CalibrationError
 from touchd.frame import Plate
@@ -39,13 +39,11 @@ def take(folder: Path, number: int, reason: str = "") -> None:
     """Take a tap at the target of a number."""
     state = State(folder)
     state.set(target_mm=(10.0 + number, 20.0))
-    Session(state).take(Tapped(reason, FRAMES, 4, found_mm=(10.5 + number, 20.0)), META, number)
+    session.take(state, Tapped(reason, FRAMES, 4, found_mm=(10.5 + number, 20.0)), META, number)
 
 
 def undo(folder: Path) -> None:
-    session = Session(State(folder))
-    session.tell = lambda: None  # type: ignore[method-assign] # there is no model
-    session.undo()
+    session.undo(State(folder))
 
 
 def killed_at(step: int, act: Callable[[], object]) -> bool:
@@ -148,17 +146,17 @@ def test_told_scatter(tmp_path: Path, instrument: Instrument, atlas: Atlas) -> N
     state.taps.mkdir()
     save_atlas(atlas, atlas_path(state.model))
     state.set(result={})
-    session, plate, random = Session(state), Tapping(instrument, atlas), np.random.default_rng(2)
+    plate, random = Tapping(instrument, atlas), np.random.default_rng(2)
     meta = meta_of(instrument, 100, "taps")
     targets = np.array([target_mm(number, PLATE.width_mm, PLATE.height_mm) for number in range(15)])
     fingers = targets + 1.4 * random.standard_normal(targets.shape)
     for number, (target, finger) in enumerate(zip(targets, fingers, strict=True)):
         state.set(target_mm=target.tolist())
-        session.take(plate.tap((finger[0], finger[1]), target_mm=(target[0], target[1])), meta, number)
+        session.take(state, plate.tap((finger[0], finger[1]), target_mm=(target[0], target[1])), meta, number)
         if number == 3:
-            session.tell()
+            session.tell(state)
             assert (state["told"]["scatter_mm"], state["told"]["repeats"]) == (None, 0)
-    session.tell()
+    session.tell(state)
     true_mm, _ = scatter_of(targets, fingers)
     assert (len(state["taps"]), state["told"]["repeats"]) == (15, 3)
     assert state["told"]["scatter_mm"] == pytest.approx(true_mm, abs=0.1)
@@ -169,5 +167,5 @@ def test_keypad(tmp_path: Path) -> None:
     state = State(tmp_path / "state")
     feed = cast("Any", SimpleNamespace(description=SimpleNamespace(keypad=True)))
     with pytest.raises(CalibrationError, match="keypad"):
-        Session(state).collect(feed, threading.Event())
+        session.collect(state, feed, threading.Event())
     assert [path.name for path in state.folder.iterdir()] == []

@@ -17,10 +17,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.bridges.events import contact, touch
-from touchd.bridges.fit import CROSSES, Touched
+from touchd.bridges.area import CROSSES, Touched
 from touchd.calibration.wizard import worker as worker_module
-from touchd.calibration.wizard.crosses import keep, take_crosses
-from touchd.calibration.wizard.frames import Stopped
+from touchd.calibration.wizard.frames import Stopped, keep, take_crosses
 from touchd.calibration.wizard.state import State, to_toml
 from touchd.calibration.wizard.worker import ENDING, Worker
 from touchd.cli.main import main
