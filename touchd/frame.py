@@ -31,6 +31,10 @@ class Frame(Struct, gc=False, frozen=True):
     received_ns: int
     """CLOCK_MONOTONIC when the frame was complete on this host, ns."""
 
+    def copy(self) -> Frame:
+        """Return the same frame with counts of its own, which stay valid."""
+        return Frame(self.counts.copy(), self.sequence, self.t_ns, self.received_ns)
+
 
 class Description(BaseModel):
     """Part of a JSON object on disk: unknown keys are ignored, as the formats ask."""

@@ -46,7 +46,7 @@ class Daemon:
         health = Health(source, self.pipeline, messages, Settings().health)
         self._folder = recording.parent / f"{recording.stem}-rolls"
         self.preroll = PreRoll(
-            source.acquisition, source.meta.frame_rate_hz, lambda: source.meta,
+            source.meta.frame_rate_hz, lambda: source.meta,
             PreRollSettings(folder=self._folder), lambda: self._number * PERIOD_NS, interval_s=0,
         )  # fmt: skip
         parts = self.pipeline, messages, health, self.preroll

@@ -186,7 +186,7 @@ def make_preroll(source: Source, settings: Settings, description: Callable[[], F
         fresh = describe(d.acquisition, d.plate, d.rate_hz, source=d.source, device=d.device)
         return known.model_copy(update={"created": fresh.created}) if known else fresh
 
-    return PreRoll(source.acquisition, description().rate_hz, meta, settings.preroll)
+    return PreRoll(description().rate_hz, meta, settings.preroll)
 
 
 def run(

@@ -82,7 +82,7 @@ class DaqSource:
         self._lending = Lending()
         self._streaming: Daq | None = None
         self._commanding = threading.Lock()  # of `_streaming`: no device is closed while it is commanded
-        self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
+        self._ring: FrameRing[Change] = FrameRing(settings.queue_frames)
         self._state: State = "starting"
         self._reason, self._direct, self._wanted = "", direct, False
         self._alive_ns = self._seen_ns = clock()
@@ -245,12 +245,14 @@ class DaqSource:
         taken = self._intake.take(frame, received_ns, away_ns)
         if self._state != "streaming" or self._intake.fault != self._clock_fault:
             self._enter_streaming(self._intake.fault)
-        if taken is not None and direct and not self._ring.waiting:
-            return Frame(frame.counts, *taken, received_ns)
-        if taken is not None:
-            dropped = self._ring.dropped
-            self._ring.put(frame.counts, *taken, received_ns)
-            self.tally.behind += self._ring.dropped - dropped
+        if taken is None:
+            return None
+        numbered = Frame(frame.counts, *taken, received_ns)
+        if direct and not self._ring.waiting:
+            return numbered
+        dropped = self._ring.dropped
+        self._ring.put(numbered)
+        self.tally.behind += self._ring.dropped - dropped
         return None
 
     def _enter_streaming(self, fault: str | None) -> None:

@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.errors import OutputError
 from touchd.files import writing
@@ -91,11 +90,11 @@ class Recorder:
         self._single = path.suffix == ".npz"
         self._chunk_frames = chunk_frames
         self._max_frames = max_file_frames if self._single else None
-        self._blocks: list[Block] = []
+        self._kept: list[Frame] = []  # in memory
         self._chunks = 0
         self._last: Frame | None = None
         self._epoch_ns = 0
-        self._writing: Future[int] | None = None
+        self._writing: Future[None] | None = None
         self._closed = False
         prepare(path, self._single)
         self._writer = ThreadPoolExecutor(1, "touchd-recorder")
@@ -149,24 +148,22 @@ class Recorder:
                 f"is full: one file holds {self._max_frames} frames", str(self.path),
                 "record into a folder: give a name that does not end in .npz",
             )  # fmt: skip
-        if not self._blocks or self._blocks[-1].size == self._chunk_frames:
-            self._blocks.append(Block(self._chunk_frames, self.acquisition))
         if self._last is not None:
             self.lost += frame.sequence - self._last.sequence - 1
-        self._blocks[-1].append(frame, frame.t_ns - self._epoch_ns)
+        self._kept.append(frame.copy())
         self._last = frame
         self.frames += 1
-        if not self._single and self._blocks[-1].size == self._chunk_frames:
+        if not self._single and len(self._kept) == self._chunk_frames:
             self._finish_writing()
             self._flush()
 
     def _flush(self) -> None:
-        """Queue the blocks in memory for the writing thread."""
-        blocks, self._blocks = self._blocks, []
-        if blocks:
+        """Queue the frames in memory for the writing thread."""
+        frames, self._kept = self._kept, []
+        if frames:
             path = self.path if self._single else self.path / f"{self._chunks:06d}.npz"
             self._chunks += 1
-            self._writing = self._writer.submit(write_blocks, path, self.meta, blocks)
+            self._writing = self._writer.submit(write_frames, path, self.meta, frames, self._epoch_ns)
 
     def _finish_writing(self) -> None:
         writing, self._writing = self._writing, None
@@ -179,38 +176,12 @@ class Recorder:
                 self.path.rmdir()
 
 
-class Block:
-    """Memory for a number of frames, filled from the front."""
-
-    def __init__(self, frames: int, acquisition: Acquisition) -> None:
-        self.size = 0
-        self.counts: NDArray[np.int16] = np.empty((frames, *acquisition.shape), np.int16)
-        self.sequence: NDArray[np.int64] = np.empty(frames, np.int64)
-        self.timestamp_ns: NDArray[np.int64] = np.empty(frames, np.int64)
-
-    def append(self, frame: Frame, timestamp_ns: int) -> None:
-        """Copy a frame in; the block must not be full."""
-        self.counts[self.size] = frame.counts
-        self.sequence[self.size] = frame.sequence
-        self.timestamp_ns[self.size] = timestamp_ns
-        self.size += 1
-
-    def copy(self) -> Block:
-        """Return a full block with copies of the frames."""
-        twin = Block.__new__(Block)
-        twin.size = self.size
-        twin.counts, twin.sequence = self.counts[: self.size].copy(), self.sequence[: self.size].copy()
-        twin.timestamp_ns = self.timestamp_ns[: self.size].copy()
-        return twin
-
-
-def write_blocks(path: Path, meta: Meta, blocks: list[Block], *, epoch_ns: int = 0, compress: bool = True) -> int:
-    """Write blocks as one file whose time counts from `epoch_ns`, and return the number of frames."""
-    frames = np.concatenate([block.counts[: block.size] for block in blocks])
-    sequence = np.concatenate([block.sequence[: block.size] for block in blocks])
-    timestamp_ns = np.concatenate([block.timestamp_ns[: block.size] for block in blocks]) - epoch_ns
-    recording.write(path, Recording(meta, frames, sequence, timestamp_ns), compress=compress)
-    return len(frames)
+def write_frames(path: Path, meta: Meta, frames: list[Frame], epoch_ns: int, *, compress: bool = True) -> None:
+    """Write frames as one file whose time counts from `epoch_ns`."""
+    counts = np.stack([frame.counts for frame in frames])
+    sequence = np.array([frame.sequence for frame in frames], np.int64)
+    timestamp_ns = np.array([frame.t_ns for frame in frames], np.int64) - epoch_ns
+    recording.write(path, Recording(meta, counts, sequence, timestamp_ns), compress=compress)
 
 
 def prepare(path: Path, single: bool) -> None:

@@ -130,7 +130,7 @@ def seen(scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Se
         messages = Messages(first, sink.wants, wall_offset_ns=0)
         health = Health(source, pipeline, messages, first.health)
         rate_hz = 1e9 / PERIOD_NS
-        preroll = PreRoll(recording.acquisition, rate_hz, lambda: recording.meta, first.preroll, clock, interval_s=0.0)
+        preroll = PreRoll(rate_hz, lambda: recording.meta, first.preroll, clock, interval_s=0.0)
         for at in case.saves:
             calls.setdefault(at, []).append(lambda: wait_and_ask(preroll))
         read = Settings.model_validate(merged(first.model_dump(exclude_unset=True), case.beside or {}, new))
