@@ -128,7 +128,7 @@ def run(task: Task) -> tuple[DaemonResult, dict[int, int]]:
         bus = ZeromqSink(settings.bus)
     rate_hz = task.rate_hz or 125.0
     meta = describe(source.acquisition, model.description.plate, rate_hz, source="benchmark", device=None)
-    preroll = Clocked(source.acquisition, rate_hz, lambda: meta, settings.preroll)
+    preroll = Clocked(rate_hz, lambda: meta, settings.preroll)
     preroll.start_clock(source.lead + round(task.seconds * (task.rate_hz or 200_000)) + 1)
     service = make_service(source, [bus], settings, model, preroll=preroll)
     realtime.freeze()
