@@ -50,7 +50,7 @@ class Daemon:
             PreRollSettings(folder=self._folder), lambda: self._number * PERIOD_NS, interval_s=0,
         )  # fmt: skip
         parts = self.pipeline, messages, health, self.preroll
-        self._reloader = Reloader(Settings(), lambda: self._read, model, *parts)
+        self._reloader = Reloader(Settings(), lambda: self._read, *parts)
 
     def reload(self, read: Settings) -> None:
         """Reload; all that a running daemon can change is then in use."""

@@ -22,14 +22,10 @@ from touchd.recording.data import Device, Meta
 from touchd.service import realtime
 from touchd.service.control import Control, path_of
 from touchd.service.frame_feed import FeedDescription, FrameFeed, rate_of
-from touchd.service.health import Health
 from touchd.service.loop import Service
-from touchd.service.messages import Messages, wants_of
 from touchd.service.models import layout_of, settings_for
 from touchd.service.models import load_model as load_model
 from touchd.service.preroll import PreRoll
-from touchd.service.rate import ScanRate
-from touchd.service.reload import Reloader
 from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
 from touchd.sinks.jsonl import JsonlSink
@@ -108,38 +104,13 @@ def make_service(
     source: Source,
     sinks: Sequence[Sink],
     settings: Settings,
-    model: Model | None,
+    model: Model,
     *,
     clock: Callable[[], int] = time.monotonic_ns,
-    manager: Notifier | None = None,
     preroll: PreRoll | None = None,
-    control: Control | None = None,
-    read_settings: Callable[[], Settings] | None = None,
-    feed: FrameFeed | None = None,
-    pipeline: Pipeline | None = None,
 ) -> Service:
-    """Return the service between a source and sinks, which it closes at the end of `run`.
-
-    Parameters
-    ----------
-    source, sinks, settings, model
-        Without a model it is uncalibrated.
-    read_settings : callable, optional
-        Reads the configuration, for `Service.reload`.
-    pipeline : Pipeline, optional
-        Of this source, these settings and this model; made if it is not there yet.
-    """
-    pipeline = pipeline or Pipeline(source.acquisition, model, settings, layout_of(settings, model), log_notice)
-    messages = Messages(settings, wants_of(sinks))
-    health = Health(source, pipeline, messages, settings.health)
-    reloader = None
-    if read_settings is not None:
-        reloader = Reloader(settings, read_settings, model, pipeline, messages, health, preroll)
-    return Service(
-        source, pipeline, messages, sinks, health, clock=clock, manager=manager,
-        awake=realtime.Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
-        feed=feed, rate=ScanRate(source, settings.device),
-    )  # fmt: skip
+    """Return the service between a source and sinks, which it closes at the end of `run`."""
+    return Service(source, sinks, settings, make_pipeline(source, settings, model), clock=clock, preroll=preroll)
 
 
 def describer(
@@ -230,9 +201,9 @@ def run(
         pipeline = Pipeline(source.acquisition, model, settings, parts.layout, log_notice)
         description = describer(source, settings, choice, pipeline)
         preroll = stack.enter_context(closing(make_preroll(source, settings, description)))
-        service = make_service(
-            source, sinks, settings, model, manager=manager, preroll=preroll, control=parts.control,
-            read_settings=reread, feed=FrameFeed(description), pipeline=pipeline,
+        service = Service(
+            source, sinks, settings, pipeline, manager=manager, preroll=preroll, control=parts.control,
+            read_settings=reread, feed=FrameFeed(description),
         )  # fmt: skip
         stop_on_signals(service)
         if read_settings is not None:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from itertools import count
 
 from touchd.config.schema import Settings
-from touchd.event import TOPICS, Contact, Event, KeyEvent, PlateEvent, PlateKey, SpectrumEvent, TouchEvent, TruthEvent
+from touchd.event import TOPICS, Event, KeyEvent, PlateEvent, PlateKey, SpectrumEvent, TouchEvent, TruthEvent
 from touchd.frame import Frame
 from touchd.keypad import Layout
 from touchd.pipeline import Result
 from touchd.service.frame_feed import FeedDescription
-from touchd.sinks.sink import Sink
 from touchd.sources.source import Labelled
 
 
@@ -57,7 +56,7 @@ class Messages:
         """
         t_ns, frame, contacts = result.t_ns, result.sequence, result.contacts
         if contacts:
-            if self.wants("touch") or is_change(contacts):
+            if self.wants("touch") or any(contact.phase in ("down", "up") for contact in contacts):
                 wall = self._wall(t_ns)
                 yield TouchEvent(self._device, next(self._seq["touch"]), t_ns, wall, frame, contacts)
                 for key in result.keys:
@@ -103,20 +102,6 @@ class Messages:
         return f"{self._wall_text}.{rest_ns // 1000:06d}Z"
 
 
-def wants_of(sinks: Sequence[Sink]) -> Callable[[str], bool]:
-    """Return the function that asks the sinks whether any of them wants a topic."""
-    # With one sink, its own method: the question comes with each touched frame.
-    return sinks[0].wants if len(sinks) == 1 else lambda topic: any(sink.wants(topic) for sink in sinks)
-
-
 def all_but_spectra(topic: str) -> bool:
     """Want all topics but the spectrum, which costs more than the rest of a frame."""
     return topic != "spectrum"
-
-
-def is_change(contacts: Sequence[Contact]) -> bool:
-    """Return whether a contact goes down or comes up."""
-    for contact in contacts:  # noqa: SIM110 - runs in each touched frame: `any` takes three times as long
-        if contact.phase == "down" or contact.phase == "up":
-            return True
-    return False

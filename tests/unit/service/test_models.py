@@ -42,7 +42,7 @@ class Rig:
         self.pipeline = Pipeline(scene("circle").acquisition, model, settings)
         messages = Messages(settings, all_but_spectra)
         self.health = Health(ReplaySource(file), self.pipeline, messages, settings.health)
-        self.reloader = Reloader(settings, lambda: settings, model, self.pipeline, messages, self.health)
+        self.reloader = Reloader(settings, lambda: settings, self.pipeline, messages, self.health)
 
     def feed(self, count: int = 320) -> list[Result]:
         numbers = range(self.number, self.number + count)
