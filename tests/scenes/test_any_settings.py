@@ -22,8 +22,7 @@ from touchd.event import Contact
 from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service.health import Health
-from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.messages import Health, Messages, all_but_spectra
 from touchd.service.preroll import PreRoll
 from touchd.service.reload import Reloader, compare
 from touchd.sources.replay import ReplaySource

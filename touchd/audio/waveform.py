@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from touchd.audio.card import Floats
-from touchd.chirp import waveform
 from touchd.errors import ConfigError
 from touchd.frame import Acquisition, Chirp
 
@@ -43,7 +42,7 @@ def _period(acquisition: Acquisition) -> int | None:
 
 def loop_of(chirp: Chirp, rate_hz: float, period: int, level_dbfs: float) -> Floats:
     """Return a period of what is played, shape (period,), with the chirp at its start."""
-    played = waveform(chirp.model_copy(update={"dac_rate_hz": rate_hz}))
+    played = chirp.model_copy(update={"dac_rate_hz": rate_hz}).waveform()
     loop = np.zeros(period)
     loop[: len(played)] = played
     return loop * 10 ** (level_dbfs / 20)

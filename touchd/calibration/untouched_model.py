@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd import chirp
 from touchd.calibration.disc_response import DiscResponse
 from touchd.calibration.loads import lines_along
 from touchd.calibration.parameters import Guess, Reader
@@ -44,7 +43,7 @@ def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
 
 def emission(acquisition: Acquisition, nu_rad_s: Complex) -> Complex:
     """Return the spectrum of the chirp behind the anti-alias filter, shape (F,)."""
-    return chirp.spectrum(acquisition.chirp, nu_rad_s) * anti_alias(nu_rad_s, acquisition.sample_rate_hz)
+    return acquisition.chirp.spectrum(nu_rad_s) * anti_alias(nu_rad_s, acquisition.sample_rate_hz)
 
 
 class UntouchedModel:

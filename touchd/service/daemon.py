@@ -28,8 +28,7 @@ from touchd.service.models import load_model as load_model
 from touchd.service.preroll import PreRoll
 from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
-from touchd.sinks.jsonl import JsonlSink
-from touchd.sinks.sink import Sink
+from touchd.sinks.sink import JsonlSink, Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.open import SourceChoice, open_source
 from touchd.sources.recorder import describe

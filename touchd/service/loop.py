@@ -15,8 +15,7 @@ from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline, Result
 from touchd.service.control import Control
 from touchd.service.frame_feed import FrameFeed
-from touchd.service.health import Health
-from touchd.service.messages import Messages
+from touchd.service.messages import Health, Messages
 from touchd.service.preroll import PreRoll
 from touchd.service.rate import ScanRate
 from touchd.service.realtime import Awake

@@ -16,8 +16,7 @@ from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.service import log as logging
-from touchd.service.health import Health
-from touchd.service.messages import Messages
+from touchd.service.messages import Health, Messages
 from touchd.service.models import layout_of, load_model, model_path, signature_of
 from touchd.service.preroll import PreRoll
 

@@ -21,12 +21,11 @@ from collections.abc import Callable
 import structlog
 
 from touchd.config.schema import DeviceSettings
-from touchd.errors import ReaderFailed, SourceError, TouchdError
+from touchd.errors import ReaderFailed, TouchdError
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
-from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqFrame, DaqGone, Waits
-from touchd.sources.device_search import DeviceSearch, check_rate, open_first
+from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqFrame, DaqGone, DeviceSearch, Waits
 from touchd.sources.frame_ring import FrameRing, Lending
 from touchd.sources.intake import Intake
 from touchd.sources.source import Change, EndOfStream
@@ -266,27 +265,3 @@ class DaqSource:
         if (state, reason) != (self._state, self._reason):
             self._state, self._reason = state, reason
             self._ring.mark(Change(state, reason))
-
-
-def open_live(candidates: Candidates, settings: DeviceSettings, waits: Waits = WAITS) -> DaqSource:
-    """Return the source of a device that is plugged in now, and whose acquisition decides.
-
-    Raises
-    ------
-    DeviceLost, DeviceBusy
-        No device is there, or another program uses it.
-    ConfigError
-        It does not have the frame rate.
-    """
-    daq = open_first(candidates)
-    acquisition, device = daq.acquisition, daq.device
-    daq.close()
-    check_rate(daq, settings)
-
-    def check(found: Acquisition) -> None:
-        if found != acquisition:
-            raise SourceError(
-                f"another DAQ, whose frames are {found}, not {acquisition}", "device", "plug in the first one"
-            )
-
-    return DaqSource(candidates, settings, acquisition, check, device, waits=waits)

@@ -17,8 +17,8 @@ import usb.util
 from touchd.config.schema import DeviceSettings
 from touchd.errors import SourceError
 from touchd.frame import Acquisition
-from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqBusy, DaqGone, DaqUnfit, Waits
-from touchd.sources.live import DaqSource, open_live
+from touchd.sources.daq import WAITS, Daq, DaqAbsent, DaqBusy, DaqGone, DaqUnfit, Waits, check_rate, open_first
+from touchd.sources.live import DaqSource
 from touchd.sources.usb_protocol import INFO_BYTES, INTERFACE_CLASS, Info, ProtocolFault, Request, parse_info
 from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq, acquisition_of
 
@@ -187,13 +187,25 @@ def open_usb(
     ------
     DeviceLost, DeviceBusy
         No acquisition is given, and no device is plugged in, or another program uses it.
+    ConfigError
+        No acquisition is given, and the device does not have the frame rate.
     SourceError
         libusb is not installed.
     """
-    found: Candidates = partial(candidates, settings, backend or libusb())  # without libusb this fails now
+    found = partial(candidates, settings, backend or libusb())  # without libusb this fails now
+    device = None
     if acquisition is None:
-        return open_live(found, settings, waits)
-    return DaqSource(found, settings, acquisition, check, waits=waits)
+        daq = open_first(found)
+        acquisition, device = daq.acquisition, daq.device
+        daq.close()
+        check_rate(daq, settings)
+        check = partial(_refuse_another, acquisition)
+    return DaqSource(found, settings, acquisition, check, device, waits=waits)
+
+
+def _refuse_another(first: Acquisition, found: Acquisition) -> None:
+    if found != first:
+        raise SourceError(f"another DAQ, whose frames are {found}, not {first}", "device", "plug in the first one")
 
 
 @cache

@@ -16,8 +16,7 @@ from touchd.localization.model import default_model_path
 from touchd.localization.model_file import install, rollback
 from touchd.pipeline import Pipeline, Result
 from touchd.service.daemon import find_model
-from touchd.service.health import Health
-from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.messages import Health, Messages, all_but_spectra
 from touchd.service.models import installed_path, model_path, settings_for
 from touchd.service.reload import Reloader
 from touchd.sources.open import SourceChoice
