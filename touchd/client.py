@@ -172,12 +172,7 @@ class Subscriber(Generic[E]):
     def receive(self, timeout_s: float | None = None) -> E:
         """Return the next event, waiting for it at most `timeout_s`, or for ever if None.
 
-        Raises
-        ------
-        BusTimeout
-            If there was none.
-        BusError
-            If a message is not one of the bus.
+        Raises BusTimeout if there was none, BusError if a message is not one of the bus.
         """
         if timeout_s is not None and math.isnan(timeout_s):
             raise BusError("the time to wait is not a number", self.address, "give seconds, or None")

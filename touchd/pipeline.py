@@ -50,17 +50,9 @@ class Result(Struct, gc=False, frozen=True):
 class Pipeline:
     """All stages between a source and the sinks, for one plate.
 
-    Parameters
-    ----------
-    acquisition : Acquisition
-        Geometry of the frames; the model must fit it (ModelMismatch).
-    model : Model, optional
-        Its type of number is that of all arrays. Without one nothing is placed until `set_model`.
-    settings : Settings
-    layout : Layout, optional
-        The keys, in keypad mode.
-    notify : callable
-        Called when the baseline is relearned, with the reason and fields for the log.
+    The model must fit the geometry of the frames (ModelMismatch), and its type of number is that of all arrays. Without
+    one nothing is placed until `set_model`. `layout` has the keys, in keypad mode. `notify` is called when the baseline
+    is relearned, with the reason and fields for the log.
     """
 
     def __init__(
@@ -162,10 +154,7 @@ class Pipeline:
     def set_model(self, model: Model, settings: Settings, layout: Layout | None) -> None:
         """Place fingers with another model of the same type of number: the plate is relearned, and contacts end.
 
-        Raises
-        ------
-        ModelMismatch
-            The model was made for another acquisition.
+        Raises ModelMismatch if it was made for another acquisition.
         """
         self.check(model)
         self.model, self.layout = model, layout

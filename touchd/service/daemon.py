@@ -63,16 +63,8 @@ class Parts:
 def open_parts(settings: Settings, stack: ExitStack, step: Step = nullcontext) -> Parts:
     """Open what needs no plate: what is refused soonest first. `touchd doctor` opens the same.
 
-    Parameters
-    ----------
-    step : callable
-        Returns the context in which the part of that name is opened. A context that suppresses an error has the other
-        parts opened nevertheless.
-
-    Raises
-    ------
-    TouchdError
-        A part cannot be opened.
+    `step` returns the context in which the part of that name is opened: if it suppresses a part's TouchdError, the
+    others are opened nevertheless.
     """
     parts = Parts()
     with step("bus"):
@@ -169,14 +161,8 @@ def run(
 ) -> None:
     """Run the daemon until its source ends or a signal comes.
 
-    Parameters
-    ----------
-    echo : bool
-        Also print each event as a line of JSON on standard output.
-    await_subscriber_s : float
-        Hold the first frame back until somebody subscribes to `touch`, for at most this time (BusTimeout).
-    read_settings : callable, optional
-        Reads the configuration again on SIGHUP.
+    With `echo` each event is also printed as a line of JSON. The first frame is held back until somebody subscribes to
+    `touch`, for at most `await_subscriber_s` (BusTimeout). `read_settings` reads the configuration again on SIGHUP.
     """
     settings = settings_for(settings, choice)
     reread = None if read_settings is None else lambda: settings_for(read_settings(), choice)

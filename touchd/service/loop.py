@@ -41,18 +41,10 @@ log = structlog.get_logger()
 
 
 class Service:
-    """The loop from the source's `read` to the sinks' `publish`.
+    """The loop from the source's `read` to the sinks' `publish`; it closes them at the end of `run`.
 
-    Parameters
-    ----------
-    source, sinks
-        Closed at the end of `run`.
-    pipeline : Pipeline
-        Of this source and these settings.
-    read_settings : callable, optional
-        Reads the configuration, for `reload`.
-    feed : FrameFeed, optional
-        Hands frames to programs that ask for them through `control`, and describes the plate for its messages.
+    The pipeline is of this source and these settings, which `read_settings` reads again for `reload`. `feed` hands
+    frames to programs that ask for them through `control`, and describes the plate for its messages.
     """
 
     def __init__(

@@ -43,14 +43,8 @@ log = structlog.get_logger()
 class Messages:
     """Makes the touch, key and spectrum messages of one device, and stamps its health messages.
 
-    Parameters
-    ----------
-    settings : Settings
-        The device's name, and whether messages that nobody wants are skipped.
-    wants : callable
-        Returns whether anybody would see a message of a topic.
-    wall_offset_ns : int, optional
-        UTC less CLOCK_MONOTONIC, ns. Read once, so that the messages' wall time never steps back.
+    `wants` returns whether anybody would see a message of a topic. `wall_offset_ns` is UTC less CLOCK_MONOTONIC, ns, by
+    default read here, once: so the messages' wall time never steps back.
     """
 
     def __init__(self, settings: Settings, wants: Callable[[str], bool], wall_offset_ns: int | None = None) -> None:

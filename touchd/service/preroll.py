@@ -30,14 +30,8 @@ class PreRoll:
     """Keeps a copy of each frame for some seconds, and writes them as a recording on request.
 
     They are dropped by age and, in case their times are wrong, by number. A thread of its own writes them, and logs
-    what goes wrong.
-
-    Parameters
-    ----------
-    meta : callable
-        Returns the description of a recording, dated now.
-    interval_s : float
-        Least time between two files: a plate full of doubtful touches must not fill the disk.
+    what goes wrong. `meta` returns the description of a recording, dated now. Between two files go at least
+    `interval_s`: a plate full of doubtful touches must not fill the disk.
     """
 
     def __init__(

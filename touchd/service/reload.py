@@ -59,10 +59,7 @@ def compare(running: Settings, read: Settings) -> Changes:
 class Reloader:
     """Reloads the configuration of a running daemon, and the model once its files have changed.
 
-    Parameters
-    ----------
-    read : callable
-        Returns the settings as they now are; raises ConfigError if they are wrong.
+    `read` returns the settings as they now are, or raises ConfigError.
     """
 
     def __init__(
@@ -119,10 +116,7 @@ class Reloader:
     def _load(self, new: Settings, before: Model | None) -> Model | None:
         """Return another model than the one in use, `before`; None while none has ever been there.
 
-        Raises
-        ------
-        ModelError
-            The files are unusable, compute with other numbers, or those of a model in use have vanished.
+        Raises ModelError if its files are unusable, compute with other numbers, or have vanished since they were used.
         """
         if before is None and not os.path.isfile(model_path(new)):
             return None

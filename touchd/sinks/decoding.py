@@ -17,10 +17,7 @@ _KNOWN = {topic.encode(): (topic, DECODERS[topic].decode) for topic in TOPICS}
 def decode_message(parts: list[bytes], address: str) -> Event | None:
     """Return the event of a message, or None if its topic is newer than this program.
 
-    Raises
-    ------
-    BusError
-        If the message is not one of the bus; nothing of it is quoted, since a key press is secret.
+    Raises BusError if the message is not one of the bus, and quotes nothing of it: a key press is secret.
     """
     known = _KNOWN.get(parts[0])
     if known is None:

@@ -21,14 +21,8 @@ class Stream:
     """Follows one device.
 
     A message's age is its `t_ns` against CLOCK_MONOTONIC here, if both are the same clock: then `wall` less `t_ns` is
-    the same there and here. For another computer it is the delay beyond the least one seen.
-
-    Parameters
-    ----------
-    max_age_s : float
-        Messages older than this are stale; infinity for none.
-    lost, dropped : Counter
-        Grow by the messages that never came, and by those that are stale, by topic.
+    the same there and here. For another computer it is the delay beyond the least one seen. Beyond `max_age_s` a
+    message is stale. `lost` and `dropped` grow by the messages that never came, and by those that are stale, by topic.
     """
 
     def __init__(

@@ -36,14 +36,8 @@ class ZeromqSink:
     subscriber gets the last message of its topic. XPUB cannot address one subscriber: all of that topic receive it
     again, byte for byte, with the same `seq`.
 
-    Raises
-    ------
-    AddressInUse
-        If another process publishes at one of the addresses.
-    InsecureBind
-        If an address beyond loopback was asked for without keys.
-    BusError
-        If a key, a group or an address cannot be used.
+    Raises AddressInUse if another process publishes at one of the addresses, InsecureBind for one beyond loopback
+    without keys, BusError if a key, a group or an address cannot be used.
     """
 
     def __init__(self, settings: BusSettings, clock: Callable[[], int] = time.monotonic_ns) -> None:

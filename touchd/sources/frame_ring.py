@@ -16,10 +16,7 @@ Mark = TypeVar("Mark")
 class FrameRing(Generic[Mark]):
     """Frames from one thread to another, with marks of any type between them, in order.
 
-    Parameters
-    ----------
-    frames : int
-        Frames that may wait. This bounds the latency: a reader who falls behind loses the oldest frames.
+    At most `frames` wait. This bounds the latency: a reader who falls behind loses the oldest frames.
     """
 
     def __init__(self, frames: int) -> None:

@@ -43,18 +43,9 @@ log = structlog.get_logger()
 class DaqSource:
     """Frames from a device that may stall, be unplugged, or be plugged in later.
 
-    Parameters
-    ----------
-    candidates : callable
-        Lists the devices to choose from; the first that can be used is.
-    acquisition : Acquisition
-        What the frames must look like.
-    check : callable
-        Raises a TouchdError if a device with another acquisition must not be used: it is skipped.
-    device : Device, optional
-        Serial number and firmware, if the device was open before.
-    direct : bool
-        The caller of `read` may read the device, which can wait for it.
+    The first of the `candidates` that can be used is; its frames must look like `acquisition`. `check` raises a
+    TouchdError if a device with another acquisition must not be used: it is skipped. `device` has serial number and
+    firmware, if the device was open before. If it can wait for its reader (`direct`), the caller of `read` may read it.
     """
 
     def __init__(
@@ -95,12 +86,8 @@ class DaqSource:
     def read(self, timeout_s: float) -> Frame | None:
         """Return the next frame; None if none came in time, or once the state has changed (see `changes`).
 
-        Raises
-        ------
-        EndOfStream
-            After `close`.
-        TouchdError
-            The thread has died (ReaderFailed), or no device will ever be found (SourceError).
+        Raises EndOfStream after `close`, ReaderFailed if the thread has died, SourceError if no device will ever be
+        found.
         """
         if self._closing.is_set():
             raise EndOfStream

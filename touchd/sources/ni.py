@@ -33,12 +33,8 @@ _DRIVER_FIX = "install NI-DAQmx, which the package needs"
 class NiDaq:
     """An open rig, which plays the chirp of `acquisition` and samples its frames.
 
-    Raises
-    ------
-    DaqAbsent
-        The driver does not find the device.
-    SourceError
-        The driver is not installed, or the inputs are not sampled simultaneously.
+    Raises DaqAbsent if the driver does not find the device; SourceError if there is no driver, or the inputs are not
+    sampled simultaneously.
     """
 
     corrupt = 0

@@ -52,20 +52,11 @@ def open_source(
 ) -> Source:  # fmt: skip
     """Open the source that was chosen; import its backend only then.
 
-    Parameters
-    ----------
-    settings : Settings
-        `device`, `ni` and `audio` configure a DAQ.
-    model : Model, optional
-        The model that the frames are for. With a model a DAQ may be plugged in later, and a DAQ that the model does not
-        fit is refused; without one a DAQ on USB decides what frames are.
-    late : bool
-        Without a model, too, a DAQ on USB may be plugged in later. It must then be like the paper's.
+    With the model that the frames are for, a DAQ may be plugged in later, and one that does not fit the model is
+    refused. Without one a DAQ on USB decides what frames are; with `late` it too may be plugged in later, and must then
+    be like the paper's.
 
-    Raises
-    ------
-    SourceError
-        Several sources are named, a scene is given a speed, or the DAQ cannot be used.
+    Raises SourceError if several sources are named, a scene is given a speed, or the DAQ cannot be used.
     """
     given = {"--replay": choice.replay is not None, "--simulate": choice.simulate is not None, "--ni": choice.ni,
              "--audio": choice.audio is not None}  # fmt: skip

@@ -53,19 +53,8 @@ class Recorder:
     A path that ends in `.npz` becomes one file, written by `close`. Any other becomes a folder of numbered chunks; a
     thread writes each chunk as soon as it is full, so that no frame waits for the disk.
 
-    Parameters
-    ----------
-    source : Source
-        The source to record; `close` closes it too.
-    path : Path
-        File or folder to write; it must not exist yet.
-    meta : Meta
-        The recording's description, see `describe`.
-
-    Raises
-    ------
-    OutputError
-        The path exists, or cannot be written.
+    `close` closes the source too. `meta` describes the recording, see `describe`. Raises OutputError if the path exists
+    already, or cannot be written.
     """
 
     def __init__(
@@ -102,10 +91,8 @@ class Recorder:
     def read(self, timeout_s: float) -> Frame | None:
         """Record and return the source's next frame.
 
-        Raises
-        ------
-        OutputError
-            A chunk could not be written, or a single file is full; `close` still saves what is in memory.
+        Raises OutputError if a chunk could not be written, or a single file is full; `close` still saves what is in
+        memory.
         """
         frame = self._source.read(timeout_s)
         if self._writing is not None and self._writing.done():
@@ -119,13 +106,7 @@ class Recorder:
         return self._source.changes() if isinstance(self._source, LiveSource) else []
 
     def close(self) -> None:
-        """Write the rest, and close the source. Without a frame no file is made.
-
-        Raises
-        ------
-        OutputError
-            The rest could not be written.
-        """
+        """Write the rest, or raise OutputError, and close the source. Without a frame no file is made."""
         if self._closed:
             return
         self._closed = True

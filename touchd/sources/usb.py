@@ -30,20 +30,8 @@ _SYSTEM_LIBUSB = "libusb-1.0.so.0"
 class UsbDevice:
     """An open device of protocol 1 whose interface is claimed: what `UsbDaq` needs of it.
 
-    Parameters
-    ----------
-    device : usb.core.Device
-    configuration : int
-        The value of the interface's configuration.
-    interface : usb.core.Interface
-        The interface of protocol 1.
-
-    Raises
-    ------
-    DaqAbsent
-        The device cannot be opened.
-    DaqUnfit
-        It does not speak protocol 1.
+    It takes pyusb's device and interface, and the value of the interface's configuration. Raises DaqAbsent if the
+    device cannot be opened, DaqUnfit if it does not speak protocol 1.
     """
 
     def __init__(self, device: Any, configuration: int, interface: Any) -> None:
@@ -173,24 +161,11 @@ def open_usb(
     backend: Any = None,
     waits: Waits = WAITS,
 ) -> DaqSource:
-    """Return the source of a DAQ on USB.
+    """Return the source of a DAQ on USB, by libusb or another backend of pyusb's; SourceError without libusb.
 
-    Parameters
-    ----------
-    acquisition : Acquisition, optional
-        What the frames must look like; the device may then be plugged in later, and `check` compares (see `DaqSource`).
-        Without it the device must be plugged in, and decides.
-    backend : usb.backend.IBackend, optional
-        Instead of libusb.
-
-    Raises
-    ------
-    DeviceLost, DeviceBusy
-        No acquisition is given, and no device is plugged in, or another program uses it.
-    ConfigError
-        No acquisition is given, and the device does not have the frame rate.
-    SourceError
-        libusb is not installed.
+    With the acquisition that frames must have, the device may be plugged in later, and `check` compares (see
+    `DaqSource`). Without it the device must be plugged in, and decides: DeviceLost if there is none, DeviceBusy if
+    another program uses it, and ConfigError if it does not have the frame rate.
     """
     found = partial(candidates, settings, backend or libusb())  # without libusb this fails now
     device = None
@@ -210,13 +185,7 @@ def _refuse_another(first: Acquisition, found: Acquisition) -> None:
 
 @cache
 def libusb() -> Any:
-    """Return pyusb's backend on the system's libusb, or on that of libusb-package.
-
-    Raises
-    ------
-    SourceError
-        Neither is installed.
-    """
+    """Return pyusb's backend on the system's libusb, or on that of libusb-package; SourceError without either."""
 
     def find(name: str) -> str | None:
         if "usb-1.0" not in name:
