@@ -77,7 +77,6 @@ class Pipeline:
         self._skip = settings.skip
         self.screen_off = False
         """Whether frames only keep the baseline, since nobody sees what is touched."""
-        self._set_unusual()
         self._detection: Detection | None = None
         self._noise_channels: list[float] = []
 
@@ -96,7 +95,7 @@ class Pipeline:
         else:
             if outcome is _UNTOUCHED:
                 found = self._localizer.observe(detection)  # noise and temperature of the untouched plate
-                if self._unusual:
+                if self.screen_off or not self._skip.gate:
                     found = self._without_skips(detection)
             elif self.screen_off:
                 found = SCREEN_OFF
@@ -134,7 +133,6 @@ class Pipeline:
         if off == self.screen_off or not self._skip.screen:
             return Result(t_ns, self.detector.sequence, Outcome.SCREEN_OFF)
         self.screen_off = off
-        self._set_unusual()
         return self.release(t_ns)
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
@@ -145,7 +143,6 @@ class Pipeline:
         self._tracker.configure(settings.tracker)
         self._skip = settings.skip
         self.screen_off &= settings.skip.screen
-        self._set_unusual()
 
     def check(self, model: Model) -> None:
         """Raise ModelMismatch if a model was made for another acquisition."""
@@ -211,10 +208,6 @@ class Pipeline:
             return _NO_CONTACTS
         self._localizer.reset()
         return self._tracker.release_all(t_ns)
-
-    def _set_unusual(self) -> None:
-        """Note whether untouched frames need more than to be observed: one question a frame instead of two."""
-        self._unusual = self.screen_off or not self._skip.gate
 
     def _without_skips(self, detection: Detection) -> Localization:
         """Say that the screen is off; with `skip.gate` off localize an untouched frame, to measure what that costs."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.beforehand import check_output
+from touchd.cli.options import check_output
 from touchd.config.schema import LogSettings
 from touchd.errors import SimulationError
 from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate

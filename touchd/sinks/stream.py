@@ -63,11 +63,7 @@ class Stream:
         fresh = follows and self._shared and 0 <= now_ns - event.t_ns - self._least_ns <= self._max_age_ns
         if fresh or not self._is_stale(event, now_ns, follows=follows):  # nearly always the former
             if isinstance(event, TouchEvent):
-                self._touched = False
-                for contact in event.contacts:  # `any` would be another function in each frame
-                    if contact.phase != "up":
-                        self._touched = True
-                        break
+                self._touched = any(contact.phase != "up" for contact in event.contacts)
             elif isinstance(event, KeyEvent):
                 self._note(event)
             return event
