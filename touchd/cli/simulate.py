@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -125,28 +126,19 @@ def command(
     rig: Path | None,
     noise_db: float | None,
     jitter_ns: float | None,
-    stale_k: float,
-    even: bool,
-    warmer_k: float,
-    fingers: int,
-    apart_mm: float,
-    edge_gap_mm: float | None,
-    label_noise_mm: float,
     acquisition: Acquisition,
     tail: bool,
     jobs: int | None,
     dask: str | None,
     force: bool,
+    **of_touches: Any,
 ) -> None:
     """Simulate SCENE on a plate and write a recording, labelled with true contacts."""
     if scene == TOUCHES and not (frames is None and rate_hz is None):
         raise click.UsageError("--frames and --rate-hz apply to scenes; use --count")
     if scene != "keypad" and not (keypad is None and code is None):
         raise click.UsageError("--keypad and --code apply to the scene keypad")
-    touches = TouchSet(
-        count or COUNT, finger or "silicone", stale_k=stale_k, fingers=fingers, apart_mm=apart_mm,
-        edge_gap_mm=edge_gap_mm, warmer_k=warmer_k, label_noise_mm=label_noise_mm, even=even,
-    )  # fmt: skip
+    touches = TouchSet(count or COUNT, finger or "silicone", **of_touches)  # its fields have the names of options
     if scene != TOUCHES and (count is not None or replace(touches, finger="silicone") != TouchSet()):
         raise click.UsageError(
             "--count, --even, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm "
