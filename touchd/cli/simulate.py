@@ -91,11 +91,7 @@ acquisition_option = click.option(
 )  # fmt: skip
 @click.option("--even", is_flag=True, help="Touches: without gaps and up to the edges, not at random.")
 @click.option(
-    "--temperature-k",
-    "warmer_k",
-    default=0.0,
-    show_default=True,
-    help="Touches: temperature above the reference, K.",
+    "--temperature-k", "warmer_k", default=0.0, show_default=True, help="Touches: temperature above the reference, K."
 )
 @click.option(
     "--fingers", default=1, show_default=True, type=click.IntRange(1, MOST_FINGERS), help="Fingers of each touch."

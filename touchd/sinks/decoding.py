@@ -40,9 +40,7 @@ def decode_message(parts: list[bytes], address: str) -> Event | None:
         problem, version = "", event.v
     if isinstance(version, int) and version != VERSION:
         raise BusError(
-            f"a {topic} message of version {version}, and this program knows {VERSION}",
-            address,
-            "upgrade touchd here",
+            f"a {topic} message of version {version}, and this program knows {VERSION}", address, "upgrade touchd here"
         )
     raise BusError(f"not a {topic} message ({problem})", address, "is it a touchd that publishes?")
 
