@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass
+from functools import partial
 
 import structlog
 
@@ -104,25 +105,26 @@ def make_service(
     return Service(source, sinks, settings, make_pipeline(source, settings, model), clock=clock, preroll=preroll)
 
 
-def describer(
-    source: Source, settings: Settings, choice: SourceChoice, pipeline: Pipeline
-) -> Callable[[], FeedDescription]:
-    """Return what describes a source's frames to those who record them."""
+def feed_description(source: Source, settings: Settings, choice: SourceChoice, pipeline: Pipeline) -> FeedDescription:
+    """Describe a source's frames, as they are now, to those who record them."""
+    known, model = getattr(source, "meta", None), pipeline.model
+    plate = model.description.plate if model else None
+    return FeedDescription(
+        acquisition=source.acquisition, rate_hz=rate_of(source, settings.device),
+        source=known.source if known else choice.kind, plate=known.plate if known else plate,
+        device=getattr(source, "device", None) or Device(), emitter_mm=known.emitter_mm if known else None,
+        receivers_mm=(known.receivers_mm if known else None) or (),
+        keypad=pipeline.layout is not None or (model is None and settings.keypad.layout is not None),
+    )  # fmt: skip
+
+
+def recording_meta(source: Source, d: FeedDescription) -> Meta:
+    """Return the description of a recording of a source that begins now; SourceError if its plate is unknown."""
+    if d.plate is None:
+        raise SourceError("no plate is known without a model", "pre-roll", "touchd calibrate")
+    fresh = describe(d.acquisition, d.plate, d.rate_hz, source=d.source, device=d.device)
     known = getattr(source, "meta", None)
-    rate_hz = rate_of(source, settings.device)
-
-    def description() -> FeedDescription:
-        model = pipeline.model
-        plate = model.description.plate if model else None
-        keypad = pipeline.layout is not None or (model is None and settings.keypad.layout is not None)
-        return FeedDescription(
-            acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else choice.kind,
-            plate=known.plate if known else plate, device=getattr(source, "device", None) or Device(),
-            emitter_mm=known.emitter_mm if known else None, receivers_mm=(known.receivers_mm if known else None) or (),
-            keypad=keypad,
-        )  # fmt: skip
-
-    return description
+    return known.model_copy(update={"created": fresh.created}) if known else fresh
 
 
 def warn_of_another_plate(source: Source, model: Model | None) -> None:
@@ -135,20 +137,6 @@ def warn_of_another_plate(source: Source, model: Model | None) -> None:
         shipped = "" if model.path == default_model_path() else f"; the shipped one is {default_model_path()}"
         log.warning("the frames are of another plate than the model", frames=sizes[0], model=sizes[1],
                     path=str(model.path), fix=f"--model FILE{shipped}")  # fmt: skip
-
-
-def make_preroll(source: Source, settings: Settings, description: Callable[[], FeedDescription]) -> PreRoll:
-    """Return the keeper of the last seconds of a source's frames."""
-    known = getattr(source, "meta", None)
-
-    def meta() -> Meta:
-        d = description()
-        if d.plate is None:
-            raise SourceError("no plate is known without a model", "pre-roll", "touchd calibrate")
-        fresh = describe(d.acquisition, d.plate, d.rate_hz, source=d.source, device=d.device)
-        return known.model_copy(update={"created": fresh.created}) if known else fresh
-
-    return PreRoll(description().rate_hz, meta, settings.preroll)
 
 
 def run(
@@ -184,8 +172,9 @@ def run(
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
 
         pipeline = Pipeline(source.acquisition, model, settings, parts.layout, log_notice)
-        description = describer(source, settings, choice, pipeline)
-        preroll = stack.enter_context(closing(make_preroll(source, settings, description)))
+        description = partial(feed_description, source, settings, choice, pipeline)
+        preroll = PreRoll(description().rate_hz, lambda: recording_meta(source, description()), settings.preroll)
+        stack.callback(preroll.close)
         service = Service(
             source, sinks, settings, pipeline, manager=manager, preroll=preroll, control=parts.control,
             read_settings=reread, feed=FrameFeed(description),

@@ -59,9 +59,7 @@ class Stream:
         if last is not None and event.seq > last[0] + 1:
             self._lost[event.type] += event.seq - last[0] - 1
         follows = last is not None and event.seq == last[0] + 1 and event.t_ns >= last[1]
-        now_ns = self._clock()
-        fresh = follows and self._shared and 0 <= now_ns - event.t_ns - self._least_ns <= self._max_age_ns
-        if fresh or not self._is_stale(event, now_ns, follows=follows):  # nearly always the former
+        if not self._is_stale(event, self._clock(), follows=follows):
             if isinstance(event, TouchEvent):
                 self._touched = any(contact.phase != "up" for contact in event.contacts)
             elif isinstance(event, KeyEvent):
