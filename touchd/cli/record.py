@@ -96,10 +96,10 @@ def command(
         if label:
             walk_through(source, output, meta)
             return
-        recorder = Recorder(source, output, meta, chunk_frames=chunk_frames)
+        recorder = Recorder(output, meta, chunk_frames=chunk_frames)
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
         try:
-            _record(recorder, frames, seconds)
+            _record(source, recorder, frames, seconds)
         finally:  # save the frames that arrived before a failure, too
             recorder.close()
             if recorder.frames:
@@ -109,22 +109,23 @@ def command(
         raise SourceError("no frame came, nothing is saved", fix="check that the source runs")
 
 
-def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> None:
-    """Read frames through the recorder until the end, a limit or a signal."""
+def _record(source: Source, recorder: Recorder, frames: int | None, seconds: float | None) -> None:
+    """Record frames until the end, a limit or a signal."""
     first_ns = None
     # At 125 frames/s the last frame of a second begins 8 ms before its end; another half period allows for jitter.
     last_s = (seconds or 0) - 1.5 / recorder.meta.frame_rate_hz
     started_s = time.monotonic()
     with stopping() as stop:
-        for frame in until(stop, recorder):
-            if recorder.frames == frames:
-                break
+        for frame in until(stop, source):
             if frame is None:
                 # A silent source must not extend a recording of ten seconds.
                 if seconds is not None and time.monotonic() - started_s >= seconds:
                     break
                 continue
+            recorder.keep(frame)
             first_ns = frame.t_ns if first_ns is None else first_ns
+            if recorder.frames == frames:
+                break
             if seconds is not None and frame.t_ns - first_ns >= last_s * 1e9:
                 break
 

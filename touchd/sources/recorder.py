@@ -1,4 +1,4 @@
-"""Record from any source: pass its frames on, and write them to a file or folder."""
+"""Write frames of any source to a file or folder."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from touchd.files import writing
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording import format as recording
 from touchd.recording.data import Device, Meta, Recording
-from touchd.sources.source import Change, LiveSource, Source
 
 CHUNK_FRAMES = 5000
 """Frames in a chunk of a folder: at 125 frames a second, a power cut costs at most 40 s."""
@@ -48,25 +47,17 @@ def describe(
 
 
 class Recorder:
-    """A source that records the frames of another one.
+    """Records frames.
 
     A path that ends in `.npz` becomes one file, written by `close`. Any other becomes a folder of numbered chunks; a
     thread writes each chunk as soon as it is full, so that no frame waits for the disk.
 
-    `close` closes the source too. `meta` describes the recording, see `describe`. Raises OutputError if the path exists
-    already, or cannot be written.
+    `meta` describes the recording, see `describe`. Raises OutputError if the path exists already, or cannot be written.
     """
 
     def __init__(
-        self,
-        source: Source,
-        path: Path,
-        meta: Meta,
-        *,
-        chunk_frames: int = CHUNK_FRAMES,
-        max_file_frames: int = MAX_FILE_FRAMES,
+        self, path: Path, meta: Meta, *, chunk_frames: int = CHUNK_FRAMES, max_file_frames: int = MAX_FILE_FRAMES
     ) -> None:
-        self.acquisition = source.acquisition
         self.meta = meta
         self.path = path
         self.frames = 0
@@ -74,8 +65,7 @@ class Recorder:
         self.lost = 0
         """Frames that the source's counter skipped."""
         self.dropped = 0
-        """Frames passed on but not recorded, because their number or time did not increase."""
-        self._source = source
+        """Frames not recorded, because their number or time did not increase."""
         self._single = path.suffix == ".npz"
         self._chunk_frames = chunk_frames
         self._max_frames = max_file_frames if self._single else None
@@ -84,41 +74,17 @@ class Recorder:
         self._last: Frame | None = None
         self._epoch_ns = 0
         self._writing: Future[None] | None = None
-        self._closed = False
         prepare(path, self._single)
         self._writer = ThreadPoolExecutor(1, "touchd-recorder")
 
-    def read(self, timeout_s: float) -> Frame | None:
-        """Record and return the source's next frame.
+    def keep(self, frame: Frame) -> None:
+        """Record a frame.
 
         Raises OutputError if a chunk could not be written, or a single file is full; `close` still saves what is in
         memory.
         """
-        frame = self._source.read(timeout_s)
         if self._writing is not None and self._writing.done():
             self._finish_writing()
-        if frame is not None:
-            self._keep(frame)
-        return frame
-
-    def changes(self) -> list[Change]:
-        """Take the changes of a live source's state; no frame overtakes them."""
-        return self._source.changes() if isinstance(self._source, LiveSource) else []
-
-    def close(self) -> None:
-        """Write the rest, or raise OutputError, and close the source. Without a frame no file is made."""
-        if self._closed:
-            return
-        self._closed = True
-        with ExitStack() as steps:  # from the last to the first, and each even if others fail
-            steps.callback(self._remove_if_empty)
-            steps.callback(self._writer.shutdown)
-            steps.callback(self._finish_writing)
-            steps.callback(self._flush)
-            steps.callback(self._finish_writing)
-            steps.callback(self._source.close)
-
-    def _keep(self, frame: Frame) -> None:
         if self._last is None:
             self._epoch_ns = frame.t_ns
         elif frame.sequence <= self._last.sequence or frame.t_ns <= self._last.t_ns:
@@ -137,6 +103,15 @@ class Recorder:
         if not self._single and len(self._kept) == self._chunk_frames:
             self._finish_writing()
             self._flush()
+
+    def close(self) -> None:
+        """Write the rest, or raise OutputError; without a frame no file is made. Further calls do nothing."""
+        with ExitStack() as steps:  # from the last to the first, and each even if others fail
+            steps.callback(self._remove_if_empty)
+            steps.callback(self._writer.shutdown)
+            steps.callback(self._finish_writing)
+            steps.callback(self._flush)
+            steps.callback(self._finish_writing)
 
     def _flush(self) -> None:
         """Queue the frames in memory for the writing thread."""
