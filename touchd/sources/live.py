@@ -220,7 +220,7 @@ class DaqSource:
 
     def _start(self, daq: Daq) -> None:
         daq.start(self._settings.rate_hz)
-        self._intake.numbering.restart()
+        self._intake.restart()
         with self._commanding:
             self._streaming = daq
             if self._rate_hz != self._settings.rate_hz:
@@ -231,14 +231,12 @@ class DaqSource:
         taken = self._intake.take(frame, received_ns, away_ns)
         if self._state != "streaming" or self._intake.fault != self._clock_fault:
             self._enter_streaming(self._intake.fault)
-        if taken is None:
-            return None
-        numbered = Frame(frame.counts, *taken, received_ns)
         if direct and not self._ring.waiting:
-            return numbered
-        dropped = self._ring.dropped
-        self._ring.put(numbered)
-        self.tally.behind += self._ring.dropped - dropped
+            return taken
+        if taken is not None:
+            dropped = self._ring.dropped
+            self._ring.put(taken)
+            self.tally.behind += self._ring.dropped - dropped
         return None
 
     def _enter_streaming(self, fault: str | None) -> None:
