@@ -125,7 +125,8 @@ class Subscriber(Generic[E]):
         server, pair = None, None
         if server_key is not None:
             server = curve.load_public(Path(server_key))
-            pair = curve.load_secret(Path(client_key_file)) if client_key_file is not None else curve.new_pair()
+            pair = curve.load_secret(Path(client_key_file)) if client_key_file is not None else None
+            pair = pair or curve.KeyPair(*zmq.curve_keypair())
         elif client_key_file is not None:
             raise BusError(
                 "a client key is of no use without the server's", self.address, "name the server's key as well"

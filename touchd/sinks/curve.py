@@ -13,7 +13,6 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import zmq
 from zmq.auth import create_certificates
 
 from touchd.errors import BusError, ConfigError, OutputError
@@ -32,11 +31,6 @@ class KeyPair:
 
     public: bytes
     secret: bytes
-
-
-def new_pair() -> KeyPair:
-    """Return a new key pair."""
-    return KeyPair(*zmq.curve_keypair())
 
 
 def make_files(folder: Path, name: str) -> tuple[Path, Path]:

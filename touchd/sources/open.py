@@ -70,7 +70,10 @@ def open_source(
     if choice.simulate is not None:
         return _simulate(choice.simulate, choice, model)
     if choice.audio is not None:
-        return _open_audio(settings, model, choice.audio)
+        from touchd.audio.alsa import AlsaCard
+        from touchd.sources.audio import open_audio
+
+        return open_audio(settings, AlsaCard, choice.audio or settings.audio.device, model)
     return _open_ni(settings, model) if choice.ni else _open_usb(settings, model, late=late)
 
 
@@ -93,13 +96,6 @@ def _open_ni(settings: Settings, model: Model | None) -> Source:
     acquisition = model.description.acquisition if model else PAPER
     check = model.check if model else lambda _: None
     return DaqSource(lambda: iter([lambda: NiDaq(settings.ni, acquisition)]), settings.device, acquisition, check)
-
-
-def _open_audio(settings: Settings, model: Model | None, name: str) -> Source:
-    from touchd.audio.alsa import AlsaCard
-    from touchd.sources.audio import open_audio
-
-    return open_audio(settings, AlsaCard, name or settings.audio.device, model)
 
 
 def _open_usb(settings: Settings, model: Model | None, *, late: bool) -> Source:
