@@ -63,7 +63,9 @@ class Service:
     ) -> None:
         self.pipeline = pipeline
         self._source, self._sinks = source, sinks
-        self._messages = messages = Messages(settings, lambda topic: any(sink.wants(topic) for sink in sinks))
+        # With one sink, its own method: the question comes with each touched frame.
+        wants = sinks[0].wants if len(sinks) == 1 else lambda topic: any(sink.wants(topic) for sink in sinks)
+        self._messages = messages = Messages(settings, wants)
         self._health = health = Health(source, pipeline, messages, settings.health)
         self._reloader: Reloader | None = None
         if read_settings is not None:
