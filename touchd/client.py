@@ -27,8 +27,7 @@ import zmq
 from touchd.errors import BusError, BusTimeout
 from touchd.event import TOPICS, Event, KeyEvent, TouchEvent
 from touchd.sinks import curve, endpoint
-from touchd.sinks.decoding import decode_message
-from touchd.sinks.stream import Stream
+from touchd.sinks.stream import Stream, decode_message
 
 DEFAULT_ADDRESS = endpoint.LOOPBACK
 """Of a `touchd` that runs without a service manager."""
