@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 import onnx
 
+from docs import settings
 from docs.tables import BLOCKS
 from touchd import errors
 from touchd.cli import main as cli
@@ -38,7 +39,7 @@ def pages() -> dict[Path, str]:
     readme, troubleshooting = ROOT / "README.md", ROOT / "docs" / "troubleshooting.md"
     protocol = ROOT / "docs" / "usb-protocol.md"
     return {
-        ROOT / "docs" / "configuration.md": configtext.markdown(),
+        ROOT / "docs" / "configuration.md": settings.page(),
         ROOT / "docs" / "cli.md": command_line(),
         ROOT / "deploy" / "touchd.toml": configtext.render(Settings()),
         readme: with_block(readme.read_text(), "results", results()),

@@ -27,8 +27,7 @@ import zmq
 from touchd.errors import BusError, BusTimeout
 from touchd.event import TOPICS, Event, KeyEvent, TouchEvent
 from touchd.sinks import curve, endpoint
-from touchd.sinks.decoding import decode_message
-from touchd.sinks.stream import Stream
+from touchd.sinks.stream import Stream, decode_message
 
 DEFAULT_ADDRESS = endpoint.LOOPBACK
 """Of a `touchd` that runs without a service manager."""
@@ -125,7 +124,8 @@ class Subscriber(Generic[E]):
         server, pair = None, None
         if server_key is not None:
             server = curve.load_public(Path(server_key))
-            pair = curve.load_secret(Path(client_key_file)) if client_key_file is not None else curve.new_pair()
+            pair = curve.load_secret(Path(client_key_file)) if client_key_file is not None else None
+            pair = pair or curve.KeyPair(*zmq.curve_keypair())
         elif client_key_file is not None:
             raise BusError(
                 "a client key is of no use without the server's", self.address, "name the server's key as well"
@@ -172,12 +172,7 @@ class Subscriber(Generic[E]):
     def receive(self, timeout_s: float | None = None) -> E:
         """Return the next event, waiting for it at most `timeout_s`, or for ever if None.
 
-        Raises
-        ------
-        BusTimeout
-            If there was none.
-        BusError
-            If a message is not one of the bus.
+        Raises BusTimeout if there was none, BusError if a message is not one of the bus.
         """
         if timeout_s is not None and math.isnan(timeout_s):
             raise BusError("the time to wait is not a number", self.address, "give seconds, or None")

@@ -21,10 +21,7 @@ MOST_TEXT_BYTES = 1 << 20
 def open_file(path: Path, flags: int = 0) -> IO[bytes]:
     """Open a regular file to read, without waiting: a pipe of its name would hold a daemon up for ever.
 
-    Raises
-    ------
-    OSError
-        It cannot be opened, or is a folder, a pipe or a device.
+    Raises OSError if it cannot be opened, or is a folder, a pipe or a device.
     """
     # By an opener: a descriptor that `open` refuses to take, of a folder for one, would stay open.
     file = open(path, "rb", opener=lambda name, mode: os.open(name, mode | flags | os.O_NONBLOCK))  # noqa: SIM115 - returned
@@ -45,12 +42,7 @@ def state_folder(name: str) -> Path:
 def read_text(path: Path) -> str:
     """Return the text of a file in UTF-8, without the byte order mark that some editors begin with.
 
-    Raises
-    ------
-    OSError
-        See `open_file`; or it has more than MOST_TEXT_BYTES.
-    UnicodeDecodeError
-        It is no UTF-8.
+    Raises OSError as `open_file` does, or for more than MOST_TEXT_BYTES; UnicodeDecodeError if it is no UTF-8.
     """
     with open_file(path) as file:
         content = file.read(MOST_TEXT_BYTES + 1)
@@ -73,18 +65,8 @@ def writing(path: Path, fix: str = CHECK) -> Iterator[None]:
 def replacing(path: Path, *, mode: int = 0o644, fix: str = CHECK) -> Iterator[IO[bytes]]:
     """Yield a file that takes the place of `path` once it is written and on disk; a power cut leaves all or nothing.
 
-    Parameters
-    ----------
-    path : Path
-    mode : int
-        Permissions; until the file is in place, only its owner may read it.
-    fix : str
-        What the user can do if it cannot be written.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written. Nothing is left behind.
+    Until the file is in place, only its owner may read it. Raises OutputError, with this `fix`, if it cannot be
+    written; nothing is left behind.
     """
     temporary = ""
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 Counts = NDArray[np.int16]
@@ -31,6 +31,10 @@ class Frame(Struct, gc=False, frozen=True):
     received_ns: int
     """CLOCK_MONOTONIC when the frame was complete on this host, ns."""
 
+    def copy(self) -> Frame:
+        """Return the same frame with counts of its own, which stay valid."""
+        return Frame(self.counts.copy(), self.sequence, self.t_ns, self.received_ns)
+
 
 class Description(BaseModel):
     """Part of a JSON object on disk: unknown keys are ignored, as the formats ask."""
@@ -53,6 +57,23 @@ class Chirp(Description):
     def band_hz(self) -> tuple[float, float]:
         """Lowest and highest frequency."""
         return min(self.start_hz, self.stop_hz), max(self.start_hz, self.stop_hz)
+
+    def waveform(self) -> NDArray[np.float64]:
+        """Return what the DAC plays: a linear chirp of continuous phase and unit amplitude, one value a DAC sample."""
+        t = np.arange(round(self.duration_s * self.dac_rate_hz)) / self.dac_rate_hz
+        rate = (self.stop_hz - self.start_hz) / self.duration_s
+        return np.asarray(np.sin(2 * np.pi * (self.start_hz + rate * t / 2) * t))
+
+    def spectrum(self, omega_rad_s: ArrayLike) -> NDArray[np.complex128]:
+        """Return the Fourier transform of the DAC's output, s, each value held for one DAC sample.
+
+        Exact at any complex frequency but zero; `omega_rad_s` has shape (F,), and so has the transform.
+        """
+        omega = np.asarray(omega_rad_s, dtype=np.complex128)
+        played = self.waveform()
+        step = 1 / self.dac_rate_hz
+        hold = (1 - np.exp(-1j * omega * step)) / (1j * omega)
+        return np.asarray(hold * (np.exp(-1j * np.outer(omega, step * np.arange(len(played)))) @ played))
 
 
 class Plate(Description):

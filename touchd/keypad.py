@@ -75,17 +75,8 @@ class Layout(BaseModel):
 def load_layout(path: Path, plate: Plate | None = None) -> Layout:
     """Return the layout of a TOML file with one `[[key]]` table a key.
 
-    Parameters
-    ----------
-    path : Path
-    plate : Plate, optional
-        The plate on which the keys must lie.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or is no such layout: keys have different names, do not overlap, and lie on the
-        plate.
+    Raises ConfigError if the file cannot be read or is no such layout: keys have different names, do not overlap, and
+    lie on the plate if one is given.
     """
     try:
         layout = Layout.model_validate(tomllib.loads(read_text(path)))

@@ -50,17 +50,9 @@ class Result(Struct, gc=False, frozen=True):
 class Pipeline:
     """All stages between a source and the sinks, for one plate.
 
-    Parameters
-    ----------
-    acquisition : Acquisition
-        Geometry of the frames; the model must fit it (ModelMismatch).
-    model : Model, optional
-        Its type of number is that of all arrays. Without one nothing is placed until `set_model`.
-    settings : Settings
-    layout : Layout, optional
-        The keys, in keypad mode.
-    notify : callable
-        Called when the baseline is relearned, with the reason and fields for the log.
+    The model must fit the geometry of the frames (ModelMismatch), and its type of number is that of all arrays. Without
+    one nothing is placed until `set_model`. `layout` has the keys, in keypad mode. `notify` is called when the baseline
+    is relearned, with the reason and fields for the log.
     """
 
     def __init__(
@@ -85,7 +77,6 @@ class Pipeline:
         self._skip = settings.skip
         self.screen_off = False
         """Whether frames only keep the baseline, since nobody sees what is touched."""
-        self._set_unusual()
         self._detection: Detection | None = None
         self._noise_channels: list[float] = []
 
@@ -104,7 +95,7 @@ class Pipeline:
         else:
             if outcome is _UNTOUCHED:
                 found = self._localizer.observe(detection)  # noise and temperature of the untouched plate
-                if self._unusual:
+                if self.screen_off or not self._skip.gate:
                     found = self._without_skips(detection)
             elif self.screen_off:
                 found = SCREEN_OFF
@@ -142,7 +133,6 @@ class Pipeline:
         if off == self.screen_off or not self._skip.screen:
             return Result(t_ns, self.detector.sequence, Outcome.SCREEN_OFF)
         self.screen_off = off
-        self._set_unusual()
         return self.release(t_ns)
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
@@ -153,7 +143,6 @@ class Pipeline:
         self._tracker.configure(settings.tracker)
         self._skip = settings.skip
         self.screen_off &= settings.skip.screen
-        self._set_unusual()
 
     def check(self, model: Model) -> None:
         """Raise ModelMismatch if a model was made for another acquisition."""
@@ -162,10 +151,7 @@ class Pipeline:
     def set_model(self, model: Model, settings: Settings, layout: Layout | None) -> None:
         """Place fingers with another model of the same type of number: the plate is relearned, and contacts end.
 
-        Raises
-        ------
-        ModelMismatch
-            The model was made for another acquisition.
+        Raises ModelMismatch if it was made for another acquisition.
         """
         self.check(model)
         self.model, self.layout = model, layout
@@ -222,10 +208,6 @@ class Pipeline:
             return _NO_CONTACTS
         self._localizer.reset()
         return self._tracker.release_all(t_ns)
-
-    def _set_unusual(self) -> None:
-        """Note whether untouched frames need more than to be observed: one question a frame instead of two."""
-        self._unusual = self.screen_off or not self._skip.gate
 
     def _without_skips(self, detection: Detection) -> Localization:
         """Say that the screen is off; with `skip.gate` off localize an untouched frame, to measure what that costs."""

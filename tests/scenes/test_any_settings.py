@@ -22,8 +22,7 @@ from touchd.event import Contact
 from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service.health import Health
-from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.messages import Health, Messages, all_but_spectra
 from touchd.service.preroll import PreRoll
 from touchd.service.reload import Reloader, compare
 from touchd.sources.replay import ReplaySource
@@ -46,11 +45,11 @@ class Daemon:
         health = Health(source, self.pipeline, messages, Settings().health)
         self._folder = recording.parent / f"{recording.stem}-rolls"
         self.preroll = PreRoll(
-            source.acquisition, source.meta.frame_rate_hz, lambda: source.meta,
+            source.meta.frame_rate_hz, lambda: source.meta,
             PreRollSettings(folder=self._folder), lambda: self._number * PERIOD_NS, interval_s=0,
         )  # fmt: skip
         parts = self.pipeline, messages, health, self.preroll
-        self._reloader = Reloader(Settings(), lambda: self._read, model, *parts)
+        self._reloader = Reloader(Settings(), lambda: self._read, *parts)
 
     def reload(self, read: Settings) -> None:
         """Reload; all that a running daemon can change is then in use."""

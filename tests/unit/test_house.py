@@ -12,7 +12,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "touchd"
 FLOORS = (
-    ("errors", "files", "frame", "touch", "event", "outcome", "chirp", "keypad", "jobs"),
+    ("errors", "files", "frame", "touch", "event", "outcome", "keypad", "jobs"),
     ("config", "recording"),
     ("detection", "tracking", "sinks", "twin", "audio"),
     ("localization", "client"),
@@ -29,7 +29,7 @@ ONLY = {
     "client": {"errors", "event", "config", "sinks"},
     "bridges": {"errors", "event", "config", "client"},
     "tracking": {"errors", "event", "touch", "config", "keypad"},
-    "twin": {"errors", "files", "frame", "chirp", "recording", "jobs"},
+    "twin": {"errors", "files", "frame", "recording", "jobs"},
     "detection": {"errors", "frame", "config", "outcome"},
     "pipeline": {
         "frame",

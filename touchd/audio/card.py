@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.chirp import waveform
 from touchd.frame import Chirp
 
 Floats = NDArray[np.float64]
@@ -60,7 +59,7 @@ class Card(Protocol):
 
 def loop_of(chirp: Chirp, rate_hz: float, period: int, level_dbfs: float) -> Floats:
     """Return a period of what is played, shape (period,), with the chirp at its start."""
-    played = waveform(chirp.model_copy(update={"dac_rate_hz": rate_hz}))
+    played = chirp.model_copy(update={"dac_rate_hz": rate_hz}).waveform()
     loop = np.zeros(period)
     loop[: len(played)] = played
     return loop * 10 ** (level_dbfs / 20)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchd import chirp
 from touchd.calibration.disc_response import DiscResponse
 from touchd.calibration.loads import lines_along
 from touchd.calibration.parameters import DISCS, FIRST, PLATE, Reader
@@ -65,7 +64,7 @@ def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
 
 def emission(acquisition: Acquisition, nu_rad_s: Complex) -> Complex:
     """Return the spectrum of the chirp behind the anti-alias filter, shape (F,)."""
-    return chirp.spectrum(acquisition.chirp, nu_rad_s) * anti_alias(nu_rad_s, acquisition.sample_rate_hz)
+    return acquisition.chirp.spectrum(nu_rad_s) * anti_alias(nu_rad_s, acquisition.sample_rate_hz)
 
 
 class UntouchedModel:

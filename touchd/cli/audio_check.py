@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchd.cli.beforehand import check_picture
-from touchd.cli.options import config_option
+from touchd.cli.options import check_picture, config_option
 from touchd.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from touchd.cli.beforehand import check_output
+from touchd.cli.options import check_output
 
 if TYPE_CHECKING:
     from rich.console import Console

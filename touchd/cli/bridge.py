@@ -9,7 +9,7 @@ import click
 
 from touchd.bridges.bridge import Output, run
 from touchd.bridges.screen import HoldOff
-from touchd.cli.interrupt import stopping
+from touchd.service.signals import stopping
 from touchd.service.systemd import Notifier
 
 if TYPE_CHECKING:  # a bridge does without pydantic's 20 MB

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchd.cli.beforehand import check_model_output
-from touchd.cli.options import config_option
+from touchd.cli.options import check_model_output, config_option
 from touchd.errors import DeviceLost, PlatePoor
 
 if TYPE_CHECKING:

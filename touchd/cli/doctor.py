@@ -6,19 +6,24 @@ import json
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from touchd.cli.main import missing_extra
 from touchd.cli.options import config_option
+from touchd.config.load import load
+from touchd.config.schema import Settings
+from touchd.doctor import checks, host
 from touchd.doctor.checks import Finding, Sample
+from touchd.doctor.screen import check_screen
+from touchd.doctor.start import check_start, failure
 from touchd.errors import BusError, CheckFailed, TouchdError
-
-if TYPE_CHECKING:
-    from touchd.config.schema import Settings
-    from touchd.localization.model import Model
-    from touchd.service.frame_feed import DaemonSource
-    from touchd.sources.open import SourceChoice
+from touchd.localization.model import Model
+from touchd.service.daemon import make_pipeline
+from touchd.service.frame_feed import DaemonSource, open_running, rate_of
+from touchd.service.log import configure
+from touchd.service.models import settings_for
+from touchd.sources.open import SourceChoice, open_source
 
 _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 
@@ -54,10 +59,6 @@ def command(
     A running daemon's frames are checked, by its own user or root; else stop it first: only one program at a time can
     read the DAQ. Do not touch the plate meanwhile. A warning and a failure name a remedy.
     """
-    from touchd.config.load import load
-    from touchd.service.log import configure
-    from touchd.sources.open import SourceChoice
-
     settings = load(config)
     choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni, audio=audio)
     configure(settings.log.model_copy(update={"level": "error"}))
@@ -84,13 +85,6 @@ def _print(finding: Finding) -> None:
 
 def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None) -> Iterator[Finding]:
     """Run the checks and yield each finding; a failure omits the checks that depend on it."""
-    from touchd.cli.main import missing_extra
-    from touchd.doctor import host
-    from touchd.doctor.screen import check_screen
-    from touchd.doctor.start import check_start, failure
-    from touchd.service.frame_feed import open_running
-    from touchd.service.models import settings_for
-
     yield host.check_clock()
     running = None
     try:
@@ -125,11 +119,6 @@ def _examine_frames(
     model: Model | None,
     running: DaemonSource | None,
 ) -> Iterator[Finding]:
-    from touchd.doctor import checks, host
-    from touchd.service.daemon import make_pipeline
-    from touchd.service.frame_feed import rate_of
-    from touchd.sources.open import open_source
-
     source = running or open_source(choice, settings, model)
     with closing(source):
         rate_hz = rate_of(source, settings.device)
@@ -148,8 +137,6 @@ def _examine_frames(
 
 
 def _examine_baseline(sample: Sample, reference: Path | None, model: Model) -> Finding:
-    from touchd.doctor import checks, host
-
     path = reference or model.path.with_suffix(".untouched.npz")
     if reference is None and not path.exists():
         return Finding(

@@ -13,7 +13,7 @@ import click
 @click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
 def command(recording: Path, output: Path, model: Path | None) -> None:
     """Replay RECORDING and plot the published contacts over its true touches."""
-    from touchd.cli.beforehand import check_picture, warn_of_other_plate
+    from touchd.cli.options import check_picture, warn_of_other_plate
     from touchd.config.load import load
     from touchd.evaluation.plots.session import draw_session
     from touchd.localization.model import default_model_path

@@ -11,7 +11,7 @@ from typing import Any
 import click
 import numpy as np
 
-from touchd.cli.beforehand import check_picture, warn_of_other_plate
+from touchd.cli.options import check_picture, warn_of_other_plate
 from touchd.cli.progress import Bars
 from touchd.config.load import load
 from touchd.config.schema import Settings

@@ -7,19 +7,21 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from touchd.cli.interrupt import stopping
+from touchd import __version__
+from touchd.config.load import load
 from touchd.errors import GadgetError
-
-if TYPE_CHECKING:
-    from touchd.frame import Acquisition
-    from touchd.gadget.device import Gadget
-    from touchd.gadget.functionfs import ConfigFs, FunctionFs
-    from touchd.sources.source import Source
-    from touchd.sources.usb_protocol import Info
+from touchd.frame import Acquisition
+from touchd.gadget.device import Gadget
+from touchd.gadget.functionfs import ConfigFs, FunctionFs, first_udc
+from touchd.service.log import configure
+from touchd.service.runner import frames_of
+from touchd.service.signals import stopping
+from touchd.sources.open import SourceChoice, open_source
+from touchd.sources.source import Source
+from touchd.sources.usb_protocol import Capability, Info
 
 _LOOK_S = 0.2
 
@@ -49,12 +51,6 @@ def command(
 
     This needs a Linux board with a USB device port, and root. The host sets the frame rate.
     """
-    from touchd.config.load import load
-    from touchd.gadget.device import Gadget
-    from touchd.gadget.functionfs import ConfigFs, FunctionFs, first_udc
-    from touchd.service.log import configure
-    from touchd.sources.open import SourceChoice, open_source
-
     settings = load((ctx.obj or {}).get("config"))
     configure(settings.log)
     choice = SourceChoice(replay, simulate or (None if replay else "demo"), float("inf"), loop=True, seed=seed)
@@ -79,9 +75,6 @@ def command(
 
 def info_of(acquisition: Acquisition) -> Info:
     """Return the GET_INFO reply for this acquisition."""
-    from touchd import __version__
-    from touchd.sources.usb_protocol import Capability, Info
-
     chirp = acquisition.chirp
     major, minor, patch = (int(part) for part in __version__.split(".")[:3])
     return Info(
@@ -103,8 +96,6 @@ def info_of(acquisition: Acquisition) -> Info:
 
 def samples_of(source: Source) -> Iterator[bytes]:
     """Yield each frame's samples in wire order: interleaved int16, little-endian."""
-    from touchd.service.runner import frames_of
-
     for frame in frames_of(source):
         if frame is not None:
             yield frame.counts.T.astype("<i2").tobytes()

@@ -52,10 +52,7 @@ def command(
     first line can be older than the command.
     """
     wanted = (*topics, "health") if until_stopped and "health" not in topics else topics
-    with (
-        Subscriber(address, wanted, timeout_s, server_key, client_key, max_age_s=None) as events,
-        _ending_quietly(),
-    ):
+    with Subscriber(address, wanted, timeout_s, server_key, client_key, max_age_s=None) as events, _ending_quietly():
         try:
             _print_all(events, topics, as_json, count, until_stopped)
         finally:

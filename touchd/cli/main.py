@@ -110,9 +110,16 @@ def touchd(
         ctx.with_resource(unwound())  # a daemon has a handler of its own
         return
     ctx.with_resource(held())  # before all that takes its time to import
+    import structlog
+
     from touchd.config.load import Retired, empty_file, load
     from touchd.service.daemon import run
-    from touchd.service.log import configure, warn_reset, warn_retired
+    from touchd.service.log import configure
+
+    log = structlog.get_logger()
+
+    def warn(key: Retired) -> None:
+        log.warning("a setting that is gone is ignored", where=key.where, instead=key.instead)
 
     choice = chosen(source)
     overrides: dict[str, Any] = {}
@@ -128,22 +135,19 @@ def touchd(
     settings = load(config, overrides, retired.append)
     configure(settings.log)
     for key in retired:
-        warn_retired(key)
+        warn(key)
 
     def reread() -> Settings:
         nonlocal settings
-        before, settings = settings, load(config, overrides, warn_retired)
+        before, settings = settings, load(config, overrides, warn)
         if settings != before and (empty := empty_file(config)):
-            warn_reset(empty)
+            log.warning(
+                "the configuration file is empty or gone, its settings are reset", file=str(empty),
+                fix="put it back, and reload",
+            )  # fmt: skip
         return settings
 
-    run(
-        settings,
-        choice,
-        echo=echo,
-        await_subscriber_s=await_subscriber,
-        read_settings=reread,
-    )
+    run(settings, choice, echo=echo, await_subscriber_s=await_subscriber, read_settings=reread)
 
 
 def main(arguments: list[str] | None = None) -> int:

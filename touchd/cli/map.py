@@ -49,12 +49,7 @@ p {{ position: fixed; left: 20%; top: 25%; width: 60%; text-align: center }}
 @bus_option
 @config_option
 def command(
-    touches: int,
-    page: Path | None,
-    given: Path | None,
-    dry_run: bool,
-    address: str | None,
-    config: Path | None,
+    touches: int, page: Path | None, given: Path | None, dry_run: bool, address: str | None, config: Path | None
 ) -> None:
     """Take touches at crosses on the screen, fit where it lies on the plate, and write that to the configuration.
 

@@ -37,7 +37,7 @@ def command(plate_file: Path, acquisition: Acquisition, noise_db: float, output:
     from touchd.calibration.plan import PlateMap
     from touchd.calibration.plate_file import read_plate_file
     from touchd.calibration.untouched import check_chirp
-    from touchd.cli.beforehand import check_picture
+    from touchd.cli.options import check_picture
     from touchd.cli.progress import Bars
 
     if output is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.beforehand import check_model_output
+from touchd.cli.options import check_model_output
 
 
 @click.command()

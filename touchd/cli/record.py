@@ -1,23 +1,42 @@
-"""`touchd record`: write the frames of any source to a file."""
+"""`touchd record`: write the frames of any source to a file; with --label, tell a person what to do meanwhile."""
 
 from __future__ import annotations
 
+import os
+import select
+import sys
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from threading import Event
+from typing import Any
 
 import click
 
-from touchd.cli.interrupt import stopping, until
+from touchd.calibration.walk import Walk, plan
 from touchd.cli.options import chosen, config_option, source_options
+from touchd.config.load import load
 from touchd.errors import ConfigError, SourceError
-from touchd.frame import Plate, parse_plate
+from touchd.frame import Frame, Plate, parse_plate
+from touchd.recording.data import Device, Meta
+from touchd.recording.format import write
+from touchd.service.frame_feed import DaemonSource, open_running, rate_of
+from touchd.service.runner import frames_of
+from touchd.service.signals import stopping
+from touchd.sources.open import open_source
+from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder, describe, prepare
+from touchd.sources.source import Change, Source
 
-if TYPE_CHECKING:
-    from touchd.recording.data import Meta
-    from touchd.sources.recorder import Recorder
-    from touchd.sources.source import Source
+_TIMEOUT_S = 0.2
+"""A signal takes effect within this time while no frame arrives."""
+BY_HAND = (
+    "PLATE.toml, and how you measured",
+    "the pane: kind of glass or metal, laminated or not, what holds its edges",
+    "the discs: maker, diameter, thickness; the glue; cables and series resistor",
+    "the device: name, gain setting, sample rate; the room's temperature",
+    "photographs of pane, discs and cables; who touched: dry or damp fingers, child or adult",
+)
 
 
 def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Plate | None:
@@ -61,11 +80,6 @@ def command(
     With --label it asks for ten minutes of touches at places that it names: what a report of a real plate needs, and
     what `touchd calibrate`, `calibrate --taps` and `check` take.
     """
-    from touchd.config.load import load
-    from touchd.service.frame_feed import open_running, rate_of
-    from touchd.sources.open import open_source
-    from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder
-
     if output.suffix == ".npz" and frames is not None and frames > MAX_FILE_FRAMES:
         raise ConfigError(
             f"one file holds at most {MAX_FILE_FRAMES} frames", "--frames",
@@ -80,14 +94,12 @@ def command(
         stack.callback(source.close)
         meta = _meta(source, plate, rate_of(source, settings.device), choice.kind, notes)
         if label:
-            from touchd.cli.label import walk_through
-
             walk_through(source, output, meta)
             return
-        recorder = Recorder(source, output, meta, chunk_frames=chunk_frames)
+        recorder = Recorder(output, meta, chunk_frames=chunk_frames)
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
         try:
-            _record(recorder, frames, seconds)
+            _record(source, recorder, frames, seconds)
         finally:  # save the frames that arrived before a failure, too
             recorder.close()
             if recorder.frames:
@@ -97,32 +109,29 @@ def command(
         raise SourceError("no frame came, nothing is saved", fix="check that the source runs")
 
 
-def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> None:
-    """Read frames through the recorder until the end, a limit or a signal."""
+def _record(source: Source, recorder: Recorder, frames: int | None, seconds: float | None) -> None:
+    """Record frames until the end, a limit or a signal."""
     first_ns = None
     # At 125 frames/s the last frame of a second begins 8 ms before its end; another half period allows for jitter.
     last_s = (seconds or 0) - 1.5 / recorder.meta.frame_rate_hz
     started_s = time.monotonic()
     with stopping() as stop:
-        for frame in until(stop, recorder):
-            if recorder.frames == frames:
-                break
+        for frame in until(stop, source):
             if frame is None:
                 # A silent source must not extend a recording of ten seconds.
                 if seconds is not None and time.monotonic() - started_s >= seconds:
                     break
                 continue
+            recorder.keep(frame)
             first_ns = frame.t_ns if first_ns is None else first_ns
+            if recorder.frames == frames:
+                break
             if seconds is not None and frame.t_ns - first_ns >= last_s * 1e9:
                 break
 
 
 def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes: str) -> Meta:
     """Return the recording's metadata: the source's own, if it has any."""
-    from touchd.recording.data import Meta
-    from touchd.service.frame_feed import DaemonSource
-    from touchd.sources.recorder import describe
-
     known = getattr(source, "meta", None)
     if isinstance(source, DaemonSource):
         plate, kind = plate or source.description.plate, source.description.source
@@ -137,3 +146,78 @@ def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes:
     changes = {"plate": fresh.plate, "source": fresh.source, "created": fresh.created, "notes": notes or known.notes,
                "acts": ()}  # fmt: skip
     return known.model_copy(update=changes)
+
+
+def until(stop: Event, source: Source) -> Iterator[Frame | None]:
+    """Yield a source's frames until a signal; report what becomes of the device."""
+
+    def report(change: Change) -> None:
+        click.echo(f"device {change.state}: {change.reason}", err=True)
+
+    for frame in frames_of(source, _TIMEOUT_S, on_change=report):
+        if stop.is_set():
+            return
+        yield frame
+
+
+def walk_through(source: Source, output: Path, meta: Meta) -> None:
+    """Walk a person through all acts, and save those that are complete."""
+    prepare(output, single=True)
+    walk = Walk(source.acquisition, plan(meta.plate))
+    try:
+        lines = Lines(sys.stdin.fileno())
+    except (OSError, ValueError, AttributeError):
+        lines = Lines(None)  # no terminal, nor a file in its place
+    click.echo(f"recording to {output}: it can reveal a PIN, so type none; only you can read it")
+    click.echo("Enter leaves a touch out, r and Enter repeats the one before, Ctrl-C ends and saves")
+    with stopping() as stop:
+        try:
+            asked = None
+            for frame in until(stop, source):
+                if asked != walk.asked:
+                    asked = walk.asked
+                    click.echo(f"{walk.next + 1} of {len(walk.tasks)}: {walk.tasks[walk.next].text}")
+                if frame is not None and (said := walk.feed(frame)):
+                    click.echo(said)
+                if (line := lines.take()) is not None:
+                    walk.repeat() if line == "r" else walk.skip()
+                if walk.next == len(walk.tasks):
+                    break
+        finally:  # save what is complete before a failure, too
+            # The plate is told in public, the device's number need not be.
+            found = walk.recording(meta.model_copy(update={"device": Device(firmware=meta.device.firmware)}))
+            if found is not None:
+                write(output, found)
+                click.echo(f"{output}: {len(found.frames)} frames of {len(found.meta.acts)} acts saved")
+                click.echo(checklist(walk))
+    if found is None:
+        raise SourceError("no act is complete, nothing is saved", fix="begin with ten seconds without a touch")
+
+
+def checklist(walk: Walk) -> str:
+    """Return what was recorded, what is missing, and what to write beside it."""
+    lines = []
+    for name in dict.fromkeys(task.name for task in walk.tasks):
+        done, of = walk.count(name)
+        lines.append(f"  [{'x' if done == of else ' '}] {name}: {done} of {of}")
+    return "\n".join([*lines, "write beside it, by hand:", *(f"  [ ] {what}" for what in BY_HAND)])
+
+
+class Lines:
+    """Lines that a person types, without waiting for any; at the end of the file descriptor nothing more is typed."""
+
+    def __init__(self, handle: int | None) -> None:
+        self._handle = handle
+        self._text = b""
+
+    def take(self) -> str | None:
+        """Return the next line, stripped; None before one came."""
+        if self._handle is not None and select.select([self._handle], [], [], 0)[0]:
+            more = os.read(self._handle, 4096)
+            self._text += more
+            self._handle = self._handle if more else None
+        line, end, rest = self._text.partition(b"\n")
+        if not end:
+            return None
+        self._text = rest
+        return line.decode(errors="replace").strip()

@@ -41,7 +41,7 @@ def command(
 
     It takes about an hour on two cores. A repeated command resumes a stopped run.
     """
-    from touchd.cli.beforehand import check_output
+    from touchd.cli.options import check_output
     from touchd.cli.progress import Bars
     from touchd.files import replacing, writing
     from touchd.keypad import PHONE, load_layout

@@ -8,10 +8,11 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
-from touchd.cli.beforehand import check_output
+from touchd.cli.options import check_output
 from touchd.config.schema import LogSettings
 from touchd.errors import SimulationError
 from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate
@@ -89,11 +90,7 @@ acquisition_option = click.option(
 )  # fmt: skip
 @click.option("--even", is_flag=True, help="Touches: without gaps and up to the edges, not at random.")
 @click.option(
-    "--temperature-k",
-    "warmer_k",
-    default=0.0,
-    show_default=True,
-    help="Touches: temperature above the reference, K.",
+    "--temperature-k", "warmer_k", default=0.0, show_default=True, help="Touches: temperature above the reference, K."
 )
 @click.option(
     "--fingers", default=1, show_default=True, type=click.IntRange(1, MOST_FINGERS), help="Fingers of each touch."
@@ -124,28 +121,19 @@ def command(
     rig: Path | None,
     noise_db: float | None,
     jitter_ns: float | None,
-    stale_k: float,
-    even: bool,
-    warmer_k: float,
-    fingers: int,
-    apart_mm: float,
-    edge_gap_mm: float | None,
-    label_noise_mm: float,
     acquisition: Acquisition,
     tail: bool,
     jobs: int | None,
     dask: str | None,
     force: bool,
+    **of_touches: Any,
 ) -> None:
     """Simulate SCENE on a plate and write a recording, labelled with true contacts."""
     if scene == TOUCHES and not (frames is None and rate_hz is None):
         raise click.UsageError("--frames and --rate-hz apply to scenes; use --count")
     if scene != "keypad" and not (keypad is None and code is None):
         raise click.UsageError("--keypad and --code apply to the scene keypad")
-    touches = TouchSet(
-        count or COUNT, finger or "silicone", stale_k=stale_k, fingers=fingers, apart_mm=apart_mm,
-        edge_gap_mm=edge_gap_mm, warmer_k=warmer_k, label_noise_mm=label_noise_mm, even=even,
-    )  # fmt: skip
+    touches = TouchSet(count or COUNT, finger or "silicone", **of_touches)  # its fields have the names of options
     if scene != TOUCHES and (count is not None or replace(touches, finger="silicone") != TouchSet()):
         raise click.UsageError(
             "--count, --even, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm "

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.beforehand import check_model_output, check_output
+from touchd.cli.options import check_model_output, check_output
 from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
 

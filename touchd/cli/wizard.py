@@ -22,11 +22,7 @@ from touchd.cli.options import bus_option, config_option
 @bus_option
 @config_option
 def command(
-    socket_path: Path | None,
-    folder: Path | None,
-    seconds: float,
-    address: str | None,
-    config: Path | None,
+    socket_path: Path | None, folder: Path | None, seconds: float, address: str | None, config: Path | None
 ) -> None:
     """Run the calibrations and trainings that the page of `touchd web` asks for, one at a time, until SIGTERM.
 

@@ -22,10 +22,7 @@ def set_keys(path: Path, table: str, keys: Mapping[str, str]) -> None:
 def with_keys(text: str, table: str, keys: Mapping[str, str], where: str = "") -> str:
     """Return a configuration file's text with keys of `[table]` set to values in TOML.
 
-    Raises
-    ------
-    OutputError
-        The file has a key in a form that this does not understand, such as a list over several lines.
+    Raises OutputError if it has a key in a form that this does not understand, such as a list over several lines.
     """
     parts = re.split(r"(?m)^(?=\[)", text)
     at = next((n for n, part in enumerate(parts) if part.startswith(f"[{table}]")), None)

@@ -70,19 +70,11 @@ def load(
 ) -> Settings:
     """Return the settings in effect.
 
-    Parameters
-    ----------
-    path : Path, optional
-        A TOML file, which must exist. Without it, /etc/touchd/touchd.toml is read if it exists.
-    overrides : mapping, optional
-        The command line's settings: `{"bus": {"bind": [...]}}`.
-    retired : callable, optional
-        Called for each key of an earlier version, once for each place that has it.
+    The file of `path` must exist; without a path, /etc/touchd/touchd.toml is read if it exists. `overrides` are the
+    command line's settings: `{"bus": {"bind": [...]}}`. `retired` is called for each key of an earlier version, once
+    for each place that has it.
 
-    Raises
-    ------
-    ConfigError
-        With every mistake: where it stands, what the value must be, and what to do.
+    Raises ConfigError with every mistake: where it stands, what the value must be, and what to do.
     """
     problems: list[ConfigError] = []
     layers = [

@@ -1,10 +1,10 @@
-"""Write the configuration as text: a commented TOML file, and the reference of every key."""
+"""Write the configuration as text: a commented TOML file, and what each key takes."""
 
 from __future__ import annotations
 
 import json
 import types
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -23,10 +23,15 @@ def section(table: str) -> type[BaseModel]:
     return model
 
 
+def summary(table: str) -> str:
+    """Return what a table is about, in a line."""
+    return (section(table).__doc__ or "").split("\n", 1)[0]
+
+
 def fields() -> Iterator[tuple[str, str, FieldInfo]]:
     """Yield the table, the key and the definition of every setting, in order."""
-    for table, keys in _tables():
-        for key, field in keys:
+    for table in Settings.model_fields:
+        for key, field in section(table).model_fields.items():
             yield table, key, field
 
 
@@ -104,47 +109,17 @@ _FILE_HEAD = f"""\
 # The configuration of touchd: every key, and the value in effect. A key that is left out takes its default.
 # Each can also be set by the environment variable TOUCHD_TABLE__KEY, for example {variable("bus", "bind")}.
 """
-_PAGE_HEAD = """\
-# Configuration
-
-<!-- Generated from touchd/config/schema.py: do not edit. -->
-
-Settings, with their defaults in brackets. `touchd config` prints those in effect, with ranges;
-`touchd config --default` a file to start from. touchd reads `--config` or `/etc/touchd/touchd.toml`; variables such as
-`TOUCHD_DEVICE__RATE_HZ=500` win over the file, options over both. In a variable, commas part a list. An empty text
-unsets a path. An unknown key is an error; one of an earlier version is ignored, with a warning.
-"""
 
 
 def render(settings: Settings) -> str:
     """Return the settings as a TOML file that loads again: every key with its value, default, range and meaning."""
     text = _FILE_HEAD
-    for table, keys in _tables():
-        text += f"\n# {_summary(table)}\n[{table}]\n"
-        for key, field in keys:
+    for table in Settings.model_fields:
+        text += f"\n# {summary(table)}\n[{table}]\n"
+        for key, field in section(table).model_fields.items():
             wanted = expected(field)
             value = getattr(getattr(settings, table), key)
             text += f"# {field.description}\n"
             text += f"# {wanted[:1].upper()}{wanted[1:]}. Default: {toml_value(field.default, key)}\n"
             text += f"{key} = {toml_value(value, key)}\n"
     return text
-
-
-def markdown() -> str:
-    """Return the reference of all settings: a list for each section."""
-    text = _PAGE_HEAD
-    for table, keys in _tables():
-        text += f"\n## `[{table}]`\n\n{_summary(table)}\n\n"
-        for key, field in keys:
-            choices = f", {words}" if (words := expected(field)).startswith("one of") else ""
-            text += f"- `{key}` (`{toml_value(field.default, key)}`{choices}): {field.description}\n"
-    return text
-
-
-def _tables() -> Iterator[tuple[str, Iterable[tuple[str, FieldInfo]]]]:
-    for table in Settings.model_fields:
-        yield table, section(table).model_fields.items()
-
-
-def _summary(table: str) -> str:
-    return (section(table).__doc__ or "").split("\n", 1)[0]

@@ -31,10 +31,7 @@ class DeviceSettings(Section):
         description="The same of an untouched plate, if the device can change it; not above `rate_hz`.",
     )
     stall_s: float = Field(
-        1.0,
-        ge=0.05,
-        le=10,
-        description="After this time without a frame, s, contacts lift and the stream restarts.",
+        1.0, ge=0.05, le=10, description="After this time without a frame, s, contacts lift and the stream restarts."
     )
     queue_frames: int = Field(
         64, ge=2, le=10000, description="Most frames that wait for a busy computer; then the oldest are dropped."
@@ -80,14 +77,8 @@ class GateSettings(Section):
 class SkipSettings(Section):
     """Work to skip; false measures what that saves."""
 
-    gate: bool = Field(
-        True,
-        description="Features and network while the gate is closed.",
-    )
-    still: bool = Field(
-        True,
-        description="The same of a frame that differs from the last one examined by noise alone.",
-    )
+    gate: bool = Field(True, description="Features and network while the gate is closed.")
+    still: bool = Field(True, description="The same of a frame that differs from the last one examined by noise alone.")
     still_false_alarm_rate: float = Field(
         0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone undoes that."
     )
@@ -99,10 +90,7 @@ class TrackerSettings(Section):
     """From positions to contacts."""
 
     confirm_frames: int = Field(
-        2,
-        ge=1,
-        le=100,
-        description="Frames in a row before a contact is `down`; up to 2, one of a sure lone finger.",
+        2, ge=1, le=100, description="Frames in a row before a contact is `down`; up to 2, one of a sure lone finger."
     )
     reach_mm: float = Field(25.0, ge=0.1, le=1000, description="Farthest that a contact moves between frames, mm.")
     dead_band_mm: float = Field(
@@ -140,8 +128,7 @@ class BusSettings(Section):
         None, description="Server key file made by `touchd keygen`; needed beyond loopback."
     )
     curve_clients: OptionalPath = Field(
-        None,
-        description="Folder of the public keys that may subscribe; unset: every client with the server's key.",
+        None, description="Folder of the public keys that may subscribe; unset: every client with the server's key."
     )
     insecure: bool = Field(False, description="Allow an address beyond loopback without keys.")
     high_water_mark: int = Field(1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber.")
@@ -195,8 +182,7 @@ class ControlSettings(Section):
     """The socket of `touchd screen`."""
 
     socket: OptionalPath = Field(
-        None,
-        description="Socket file; unset: `control` in the service's runtime folder, or none.",
+        None, description="Socket file; unset: `control` in the service's runtime folder, or none."
     )
     group: Group = Field("", description="Group that may use it.")
 
@@ -214,8 +200,7 @@ class PreRollSettings(Section):
 
     seconds: float = Field(10.0, ge=0, le=600, description="Time kept in memory, s.")
     folder: OptionalPath = Field(
-        None,
-        description="Where they are saved; unset: in the service's state folder, or ~/.local/state.",
+        None, description="Where they are saved; unset: in the service's state folder, or ~/.local/state."
     )
     min_confidence: float = Field(
         0.0, ge=0, le=1, description="A touch that goes down with a lower confidence saves them, too."

@@ -42,13 +42,7 @@ def path_of(settings: ControlSettings) -> Path | None:
 
 
 def send(path: Path, command: str) -> None:
-    """Send a command to the daemon that listens at `path`.
-
-    Raises
-    ------
-    BusError
-        No daemon listens there, or this user may not command it.
-    """
+    """Send a command to the daemon that listens at `path`; BusError if none does, or this user may not command it."""
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
             sender.settimeout(_PATIENCE_S)
@@ -62,21 +56,10 @@ def send(path: Path, command: str) -> None:
 
 
 class Control:
-    """The daemon's end.
+    """The daemon's end, which replaces a socket that a dead daemon left behind.
 
-    Parameters
-    ----------
-    path : Path
-        The socket; one that a dead daemon left behind is replaced.
-    group : str
-        May command too, beside the daemon's user; empty admits nobody else.
-
-    Raises
-    ------
-    AddressInUse
-        Another daemon listens there.
-    ConfigError
-        The socket cannot be made, or given to the group.
+    `group` may command too, beside the daemon's user; empty admits nobody else. Raises AddressInUse if another daemon
+    listens there, ConfigError if the socket cannot be made, or given to the group.
     """
 
     def __init__(self, path: Path, group: str = "") -> None:

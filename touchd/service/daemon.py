@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass
+from functools import partial
 
 import structlog
 
@@ -22,18 +23,13 @@ from touchd.recording.data import Device, Meta
 from touchd.service import realtime
 from touchd.service.control import Control, path_of
 from touchd.service.frame_feed import FeedDescription, FrameFeed, rate_of
-from touchd.service.health import Health
 from touchd.service.loop import Service
-from touchd.service.messages import Messages, wants_of
 from touchd.service.models import layout_of, settings_for
 from touchd.service.models import load_model as load_model
 from touchd.service.preroll import PreRoll
-from touchd.service.rate import ScanRate
-from touchd.service.reload import Reloader
 from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
-from touchd.sinks.jsonl import JsonlSink
-from touchd.sinks.sink import Sink
+from touchd.sinks.sink import JsonlSink, Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.open import SourceChoice, open_source
 from touchd.sources.recorder import describe
@@ -68,16 +64,8 @@ class Parts:
 def open_parts(settings: Settings, stack: ExitStack, step: Step = nullcontext) -> Parts:
     """Open what needs no plate: what is refused soonest first. `touchd doctor` opens the same.
 
-    Parameters
-    ----------
-    step : callable
-        Returns the context in which the part of that name is opened. A context that suppresses an error has the other
-        parts opened nevertheless.
-
-    Raises
-    ------
-    TouchdError
-        A part cannot be opened.
+    `step` returns the context in which the part of that name is opened: if it suppresses a part's TouchdError, the
+    others are opened nevertheless.
     """
     parts = Parts()
     with step("bus"):
@@ -108,59 +96,35 @@ def make_service(
     source: Source,
     sinks: Sequence[Sink],
     settings: Settings,
-    model: Model | None,
+    model: Model,
     *,
     clock: Callable[[], int] = time.monotonic_ns,
-    manager: Notifier | None = None,
     preroll: PreRoll | None = None,
-    control: Control | None = None,
-    read_settings: Callable[[], Settings] | None = None,
-    feed: FrameFeed | None = None,
-    pipeline: Pipeline | None = None,
 ) -> Service:
-    """Return the service between a source and sinks, which it closes at the end of `run`.
+    """Return the service between a source and sinks, which it closes at the end of `run`."""
+    return Service(source, sinks, settings, make_pipeline(source, settings, model), clock=clock, preroll=preroll)
 
-    Parameters
-    ----------
-    source, sinks, settings, model
-        Without a model it is uncalibrated.
-    read_settings : callable, optional
-        Reads the configuration, for `Service.reload`.
-    pipeline : Pipeline, optional
-        Of this source, these settings and this model; made if it is not there yet.
-    """
-    pipeline = pipeline or Pipeline(source.acquisition, model, settings, layout_of(settings, model), log_notice)
-    messages = Messages(settings, wants_of(sinks))
-    health = Health(source, pipeline, messages, settings.health)
-    reloader = None
-    if read_settings is not None:
-        reloader = Reloader(settings, read_settings, model, pipeline, messages, health, preroll)
-    return Service(
-        source, pipeline, messages, sinks, health, clock=clock, manager=manager,
-        awake=realtime.Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
-        feed=feed, rate=ScanRate(source, settings.device),
+
+def feed_description(source: Source, settings: Settings, choice: SourceChoice, pipeline: Pipeline) -> FeedDescription:
+    """Describe a source's frames, as they are now, to those who record them."""
+    known, model = getattr(source, "meta", None), pipeline.model
+    plate = model.description.plate if model else None
+    return FeedDescription(
+        acquisition=source.acquisition, rate_hz=rate_of(source, settings.device),
+        source=known.source if known else choice.kind, plate=known.plate if known else plate,
+        device=getattr(source, "device", None) or Device(), emitter_mm=known.emitter_mm if known else None,
+        receivers_mm=(known.receivers_mm if known else None) or (),
+        keypad=pipeline.layout is not None or (model is None and settings.keypad.layout is not None),
     )  # fmt: skip
 
 
-def describer(
-    source: Source, settings: Settings, choice: SourceChoice, pipeline: Pipeline
-) -> Callable[[], FeedDescription]:
-    """Return what describes a source's frames to those who record them."""
+def recording_meta(source: Source, d: FeedDescription) -> Meta:
+    """Return the description of a recording of a source that begins now; SourceError if its plate is unknown."""
+    if d.plate is None:
+        raise SourceError("no plate is known without a model", "pre-roll", "touchd calibrate")
+    fresh = describe(d.acquisition, d.plate, d.rate_hz, source=d.source, device=d.device)
     known = getattr(source, "meta", None)
-    rate_hz = rate_of(source, settings.device)
-
-    def description() -> FeedDescription:
-        model = pipeline.model
-        plate = model.description.plate if model else None
-        keypad = pipeline.layout is not None or (model is None and settings.keypad.layout is not None)
-        return FeedDescription(
-            acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else choice.kind,
-            plate=known.plate if known else plate, device=getattr(source, "device", None) or Device(),
-            emitter_mm=known.emitter_mm if known else None, receivers_mm=(known.receivers_mm if known else None) or (),
-            keypad=keypad,
-        )  # fmt: skip
-
-    return description
+    return known.model_copy(update={"created": fresh.created}) if known else fresh
 
 
 def warn_of_another_plate(source: Source, model: Model | None) -> None:
@@ -175,20 +139,6 @@ def warn_of_another_plate(source: Source, model: Model | None) -> None:
                     path=str(model.path), fix=f"--model FILE{shipped}")  # fmt: skip
 
 
-def make_preroll(source: Source, settings: Settings, description: Callable[[], FeedDescription]) -> PreRoll:
-    """Return the keeper of the last seconds of a source's frames."""
-    known = getattr(source, "meta", None)
-
-    def meta() -> Meta:
-        d = description()
-        if d.plate is None:
-            raise SourceError("no plate is known without a model", "pre-roll", "touchd calibrate")
-        fresh = describe(d.acquisition, d.plate, d.rate_hz, source=d.source, device=d.device)
-        return known.model_copy(update={"created": fresh.created}) if known else fresh
-
-    return PreRoll(source.acquisition, description().rate_hz, meta, settings.preroll)
-
-
 def run(
     settings: Settings,
     choice: SourceChoice,
@@ -199,14 +149,8 @@ def run(
 ) -> None:
     """Run the daemon until its source ends or a signal comes.
 
-    Parameters
-    ----------
-    echo : bool
-        Also print each event as a line of JSON on standard output.
-    await_subscriber_s : float
-        Hold the first frame back until somebody subscribes to `touch`, for at most this time (BusTimeout).
-    read_settings : callable, optional
-        Reads the configuration again on SIGHUP.
+    With `echo` each event is also printed as a line of JSON. The first frame is held back until somebody subscribes to
+    `touch`, for at most `await_subscriber_s` (BusTimeout). `read_settings` reads the configuration again on SIGHUP.
     """
     settings = settings_for(settings, choice)
     reread = None if read_settings is None else lambda: settings_for(read_settings(), choice)
@@ -228,11 +172,12 @@ def run(
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
 
         pipeline = Pipeline(source.acquisition, model, settings, parts.layout, log_notice)
-        description = describer(source, settings, choice, pipeline)
-        preroll = stack.enter_context(closing(make_preroll(source, settings, description)))
-        service = make_service(
-            source, sinks, settings, model, manager=manager, preroll=preroll, control=parts.control,
-            read_settings=reread, feed=FrameFeed(description), pipeline=pipeline,
+        description = partial(feed_description, source, settings, choice, pipeline)
+        preroll = PreRoll(description().rate_hz, lambda: recording_meta(source, description()), settings.preroll)
+        stack.callback(preroll.close)
+        service = Service(
+            source, sinks, settings, pipeline, manager=manager, preroll=preroll, control=parts.control,
+            read_settings=reread, feed=FrameFeed(description),
         )  # fmt: skip
         stop_on_signals(service)
         if read_settings is not None:

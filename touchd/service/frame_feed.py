@@ -105,10 +105,7 @@ class FrameFeed:
 class DaemonSource:
     """Frames of a running daemon, as a source; `feed` is the program's end of the pair.
 
-    Raises
-    ------
-    BusError
-        The daemon does not answer: this user may not read its frames, or it is older than this program.
+    Raises BusError if the daemon does not answer: this user may not read its frames, or it is older than this program.
     """
 
     def __init__(self, feed: socket.socket) -> None:
@@ -161,10 +158,7 @@ def open_running(choice: SourceChoice, settings: Settings) -> DaemonSource | Non
 def open_daemon(control: Path) -> DaemonSource | None:
     """Ask the daemon that listens at a control socket for its frames; None if no daemon listens.
 
-    Raises
-    ------
-    BusError
-        A daemon is there, but hands out no frames.
+    Raises BusError if it hands out no frames.
     """
     mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     mine.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)

@@ -13,7 +13,6 @@ import structlog
 from structlog.typing import EventDict, Processor, WrappedLogger
 
 if TYPE_CHECKING:  # the page's server does without what reads the configuration
-    from touchd.config.load import Retired
     from touchd.config.schema import LogSettings
 
 PRIVATE = frozenset({"key", "keys", "contact", "contacts", "contacts_mm", "x_mm", "y_mm", "pin", "code"})
@@ -90,16 +89,3 @@ def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
         # Not cached: a logger made at import would keep the level and stream of a time before this call.
         cache_logger_on_first_use=False,
     )
-
-
-def warn_reset(path: Path) -> None:
-    """Warn of a configuration file that had settings, and has none now."""
-    structlog.get_logger().warning(
-        "the configuration file is empty or gone, its settings are reset", file=str(path),
-        fix="put it back, and reload",
-    )  # fmt: skip
-
-
-def warn_retired(key: Retired) -> None:
-    """Warn of a key that an earlier version had."""
-    structlog.get_logger().warning("a setting that is gone is ignored", where=key.where, instead=key.instead)

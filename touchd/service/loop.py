@@ -8,15 +8,14 @@ from collections.abc import Callable, Sequence
 import structlog
 
 from touchd import __version__
-from touchd.config.schema import DeviceSettings
+from touchd.config.schema import Settings
 from touchd.event import Event, State
 from touchd.frame import Frame
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline, Result
 from touchd.service.control import Control
 from touchd.service.frame_feed import FrameFeed
-from touchd.service.health import Health
-from touchd.service.messages import Messages
+from touchd.service.messages import Health, Messages
 from touchd.service.preroll import PreRoll
 from touchd.service.rate import ScanRate
 from touchd.service.realtime import Awake
@@ -42,44 +41,43 @@ log = structlog.get_logger()
 
 
 class Service:
-    """The loop from the source's `read` to the sinks' `publish`.
+    """The loop from the source's `read` to the sinks' `publish`; it closes them at the end of `run`.
 
-    Parameters
-    ----------
-    source, pipeline, messages, sinks, health
-        What it runs; source and sinks are closed at the end.
-    feed : FrameFeed, optional
-        Hands frames to programs that ask for them through `control`, and describes the plate for its messages.
+    The pipeline is of this source and these settings, which `read_settings` reads again for `reload`. `feed` hands
+    frames to programs that ask for them through `control`, and describes the plate for its messages.
     """
 
     def __init__(
         self,
         source: Source,
-        pipeline: Pipeline,
-        messages: Messages,
         sinks: Sequence[Sink],
-        health: Health,
+        settings: Settings,
+        pipeline: Pipeline,
         *,
         clock: Callable[[], int] = time.monotonic_ns,
         manager: Notifier | None = None,
-        awake: Awake | None = None,
         preroll: PreRoll | None = None,
         control: Control | None = None,
-        reloader: Reloader | None = None,
+        read_settings: Callable[[], Settings] | None = None,
         feed: FrameFeed | None = None,
-        rate: ScanRate | None = None,
     ) -> None:
         self.pipeline = pipeline
-        self._source, self._messages, self._sinks, self._health = source, messages, sinks, health
+        self._source, self._sinks = source, sinks
+        # With one sink, its own method: the question comes with each touched frame.
+        wants = sinks[0].wants if len(sinks) == 1 else lambda topic: any(sink.wants(topic) for sink in sinks)
+        self._messages = messages = Messages(settings, wants)
+        self._health = health = Health(source, pipeline, messages, settings.health)
+        self._reloader: Reloader | None = None
+        if read_settings is not None:
+            self._reloader = Reloader(settings, read_settings, pipeline, messages, health, preroll)
         self._clock = clock
         self._manager = manager or Notifier()
-        self._awake = awake or Awake(0.0)
-        self._preroll, self._control, self._reloader = preroll, control, reloader
+        self._awake = Awake(settings.realtime.awake_from_hz)
+        self._rate = ScanRate(source, settings.device)
+        self._preroll, self._control, self._feed = preroll, control, feed
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed = feed
-        self._rate = rate or ScanRate(source, DeviceSettings())
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None

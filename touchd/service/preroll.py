@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import time
 from collections import deque
@@ -16,14 +15,13 @@ import structlog
 from touchd.config.schema import PreRollSettings
 from touchd.event import Contact
 from touchd.files import state_folder
-from touchd.frame import Acquisition, Frame
+from touchd.frame import Frame
 from touchd.recording.data import Meta
-from touchd.sources.recorder import Block, write_blocks
+from touchd.sources.recorder import write_frames
 
 AFTER_NS = 1_000_000_000
 """From a doubtful touch until it is saved, ns: the recording shows how the touch went on."""
 _OURS = re.compile(r"preroll-\d{8}T\d{6}Z-[a-z0-9]+(-\d+)?\.npz")
-_MAX_BLOCK_FRAMES = 1000
 
 log = structlog.get_logger()
 
@@ -31,36 +29,24 @@ log = structlog.get_logger()
 class PreRoll:
     """Keeps a copy of each frame for some seconds, and writes them as a recording on request.
 
-    Frames lie in blocks of up to a second, which are used again; they are dropped by age and, in case the frames' times
-    are wrong, by number. A thread of its own writes them, and logs what goes wrong.
-
-    Parameters
-    ----------
-    meta : callable
-        Returns the description of a recording, dated now.
-    interval_s : float
-        Least time between two files: a plate full of doubtful touches must not fill the disk.
+    They are dropped by age and, in case their times are wrong, by number. A thread of its own writes them, and logs
+    what goes wrong. `meta` returns the description of a recording, dated now. Between two files go at least
+    `interval_s`: a plate full of doubtful touches must not fill the disk.
     """
 
     def __init__(
         self,
-        acquisition: Acquisition,
         rate_hz: float,
         meta: Callable[[], Meta],
         settings: PreRollSettings,
         clock: Callable[[], int] = time.monotonic_ns,
         interval_s: float = 10.0,
     ) -> None:
-        self._acquisition = acquisition
         self._meta = meta
         self._rate_hz = rate_hz
         self._clock = clock
         self._interval_ns = round(interval_s * 1e9)
-        self._block_frames = max(1, min(round(rate_hz), _MAX_BLOCK_FRAMES))
-        self._blocks: deque[Block] = deque()  # of which the last one is being filled
-        self._free: list[Block] = []
-        self._lent: list[Block] = []
-        self._last: Frame | None = None
+        self._frames: deque[Frame] = deque()
         self._asked = ""
         self._due_ns: int | None = None
         self._saved_ns: int | None = None
@@ -74,11 +60,10 @@ class PreRoll:
         self._settings = settings
         self._folder = settings.folder or state_folder("preroll")
         self._span_ns = round(settings.seconds * 1e9)
-        self._max_blocks = math.ceil(settings.seconds * self._rate_hz / self._block_frames) + 1
+        self._max_frames = round((settings.seconds + 1) * self._rate_hz) + 1
         if not settings.seconds:
-            self._blocks.clear()
-            self._free.clear()
-            self._due_ns = self._last = None
+            self._frames.clear()
+            self._due_ns = None
             if self._writing is not None:
                 self._writing.cancel()
 
@@ -87,20 +72,14 @@ class PreRoll:
         if not self._span_ns:
             self.poll()
             return
-        last = self._last
-        if last is not None and (frame.sequence <= last.sequence or frame.t_ns <= last.t_ns):
-            if frame.sequence == last.sequence:
+        frames = self._frames
+        if frames and (frame.sequence <= frames[-1].sequence or frame.t_ns <= frames[-1].t_ns):
+            if frame.sequence == frames[-1].sequence:
                 return  # seen already
-            self._reset()  # the device counts from its start again: no recording holds both
-        self._last = frame
-        if not self._blocks:
-            self._blocks.append(self._new_block())
-        current = self._blocks[-1]
-        current.append(frame, frame.t_ns)
-        if current.size == self._block_frames:
-            while len(self._blocks) > 1 and self._is_old(frame.t_ns):
-                self._recycle(self._blocks.popleft())
-            self._blocks.append(self._new_block())
+            frames.clear()  # the device counts from its start again: no recording holds both
+        frames.append(frame.copy())
+        while len(frames) > self._max_frames or frame.t_ns - frames[0].t_ns > self._span_ns:
+            frames.popleft()
         if contacts and self._due_ns is None and self._is_doubtful(contacts):
             self._due_ns = self._clock() + AFTER_NS
         if self._asked or self._due_ns is not None:
@@ -126,55 +105,34 @@ class PreRoll:
         self.poll()
         self._writer.shutdown()
 
-    def _new_block(self) -> Block:
-        return self._free.pop() if self._free else Block(self._block_frames, self._acquisition)
-
-    def _is_old(self, now_ns: int) -> bool:
-        """Return whether the span is full without the oldest block."""
-        return len(self._blocks) > self._max_blocks or now_ns - int(self._blocks[1].timestamp_ns[0]) >= self._span_ns
-
     def _is_doubtful(self, contacts: Sequence[Contact]) -> bool:
         least = self._settings.min_confidence
         return any(contact.phase == "down" and contact.confidence < least for contact in contacts)
 
     def _save(self, reason: str) -> None:
         now_ns = self._clock()
-        blocks = [block for block in self._blocks if block.size]
+        frames = list(self._frames)
         too_soon = self._saved_ns is not None and now_ns - self._saved_ns < self._interval_ns
-        if not blocks or too_soon or (self._writing is not None and not self._writing.done()):
+        if not frames or too_soon or (self._writing is not None and not self._writing.done()):
             empty = "no frames yet" if self._span_ns else "preroll.seconds is 0"
-            why = "the last one was saved just now" if blocks else empty
+            why = "the last one was saved just now" if frames else empty
             log.warning("pre-roll not saved", reason=reason, why=why)
             return
         self._saved_ns = now_ns
-        # The writer borrows full blocks, and gets a copy of the one that is being filled.
-        self._lent = [block for block in blocks if block is not self._blocks[-1]]
-        handed = [block if block is not self._blocks[-1] else block.copy() for block in blocks]
-        self._writing = self._writer.submit(self._write, reason, handed)
+        self._writing = self._writer.submit(self._write, reason, frames)
 
-    def _recycle(self, block: Block) -> None:
-        if self._writing is not None and not self._writing.done() and any(block is lent for lent in self._lent):
-            return  # the writer still reads it
-        block.size = 0
-        self._free.append(block)
-
-    def _reset(self) -> None:
-        while self._blocks:
-            self._recycle(self._blocks.popleft())
-
-    def _write(self, reason: str, blocks: list[Block]) -> None:
+    def _write(self, reason: str, frames: list[Frame]) -> None:
         try:
             self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
             names = (f"preroll-{stamp}-{reason}{suffix}.npz" for suffix in ("", *(f"-{n}" for n in range(1, 10_000))))
             path = next(path for name in names if not (path := self._folder / name).exists())
-            epoch_ns = int(blocks[0].timestamp_ns[0])
-            frames = write_blocks(path, self._meta(), blocks, epoch_ns=epoch_ns, compress=False)
+            write_frames(path, self._meta(), frames, frames[0].t_ns, compress=False)
             if not self._span_ns:  # switched off meanwhile
                 path.unlink()
                 return
             self._written[path] = max(self._written.values(), default=0) + 1
-            log.info("pre-roll saved: it can reveal a PIN", path=path, frames=frames, reason=reason)
+            log.info("pre-roll saved: it can reveal a PIN", path=path, frames=len(frames), reason=reason)
             self._prune()
         except Exception as error:
             # A full disk, for example: touches go on.

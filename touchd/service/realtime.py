@@ -10,7 +10,7 @@ import gc
 import os
 import resource
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import structlog
@@ -48,22 +48,16 @@ def giving_way() -> Iterator[None]:
     the message of the one before, and nobody waits for a single message. A process under another policy than
     SCHED_OTHER keeps it, and so do its threads; the same holds where the system refuses.
     """
-    if os.sched_getscheduler(0) != os.SCHED_OTHER or not _set_policy(os.SCHED_BATCH):
+    if os.sched_getscheduler(0) != os.SCHED_OTHER:
         yield
         return
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     try:
         yield
     finally:
-        _set_policy(os.SCHED_OTHER)
-
-
-def _set_policy(policy: int) -> bool:
-    """Set this thread's scheduling policy, and return whether the system permits it."""
-    try:
-        os.sched_setscheduler(0, policy, os.sched_param(0))
-    except OSError:
-        return False
-    return True
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def permitted() -> bool:

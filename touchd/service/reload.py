@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import structlog
@@ -16,8 +16,7 @@ from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.service import log as logging
-from touchd.service.health import Health
-from touchd.service.messages import Messages
+from touchd.service.messages import Health, Messages
 from touchd.service.models import layout_of, load_model, model_path, signature_of
 from touchd.service.preroll import PreRoll
 
@@ -29,8 +28,7 @@ BRIDGES = frozenset({"input", "tuio"})
 log = structlog.get_logger()
 
 
-@dataclass(frozen=True, slots=True)
-class Changes:
+class Changes(NamedTuple):
     """How a configuration differs from the one in use."""
 
     settings: Settings
@@ -61,19 +59,13 @@ def compare(running: Settings, read: Settings) -> Changes:
 class Reloader:
     """Reloads the configuration of a running daemon, and the model once its files have changed.
 
-    Parameters
-    ----------
-    read : callable
-        Returns the settings as they now are; raises ConfigError if they are wrong.
-    model : Model, optional
-        The one in use; None while the daemon is uncalibrated.
+    `read` returns the settings as they now are, or raises ConfigError.
     """
 
     def __init__(
         self,
         settings: Settings,
         read: Callable[[], Settings],
-        model: Model | None,
         pipeline: Pipeline,
         messages: Messages,
         health: Health,
@@ -82,7 +74,6 @@ class Reloader:
         self.settings = settings
         """Those in use."""
         self._read = read
-        self._model, self._layout = model, layout_of(settings, model)
         self._signature = signature_of(settings)
         self._pipeline, self._messages, self._health, self._preroll = pipeline, messages, health, preroll
 
@@ -106,33 +97,31 @@ class Reloader:
             log.warning("settings that wait for a restart", waiting=changes.waiting)
 
     def _take(self, new: Settings) -> None:
-        signature = signature_of(new)
-        model = self._model if signature == self._signature else self._load(new)
+        pipeline, signature = self._pipeline, signature_of(new)
+        before, keys = pipeline.model, pipeline.layout
+        model = before if signature == self._signature else self._load(new, before)
         layout = layout_of(new, model)
         try:
             if model is not None:
-                self._pipeline.check(model)
+                pipeline.check(model)
             self._configure(new, layout)
-            if model is not None and model is not self._model:
-                self._pipeline.set_model(model, new, layout)
+            if model is not None and model is not before:
+                pipeline.set_model(model, new, layout)
                 log.info("model", name=model.description.name, path=model.path)
         except Exception:
-            self._configure(self.settings, self._layout)  # no part keeps what another one refused
+            self._configure(self.settings, keys)  # no part keeps what another one refused
             raise
-        self.settings, self._layout, self._model, self._signature = new, layout, model, signature
+        self.settings, self._signature = new, signature
 
-    def _load(self, new: Settings) -> Model | None:
-        """Return another model than the one in use; None while none has ever been there.
+    def _load(self, new: Settings, before: Model | None) -> Model | None:
+        """Return another model than the one in use, `before`; None while none has ever been there.
 
-        Raises
-        ------
-        ModelError
-            The files are unusable, compute with other numbers, or those of a model in use have vanished.
+        Raises ModelError if its files are unusable, compute with other numbers, or have vanished since they were used.
         """
-        if self._model is None and not os.path.isfile(model_path(new)):
+        if before is None and not os.path.isfile(model_path(new)):
             return None
         model = load_model(new)
-        if model.dtype != (self._model.dtype if self._model else np.float32):
+        if model.dtype != (before.dtype if before else np.float32):
             raise ModelMismatch("it computes with other numbers", str(model.path), "restart the daemon")
         return model
 

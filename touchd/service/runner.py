@@ -16,19 +16,9 @@ def frames_of(
 ) -> Iterator[Frame | None]:
     """Yield each frame of a source until the source ends, and None whenever no frame came within `timeout_s`.
 
-    So a caller can stop at any time, by leaving its loop.
-
-    Parameters
-    ----------
-    source : Source
-        Stays open at the end. A frame is valid until the next one is asked for.
-    on_change : callable
-        Called with each change of a live source's state, before the None that follows it.
-
-    Raises
-    ------
-    TouchdError
-        The source has failed.
+    So a caller can stop at any time, by leaving its loop. A frame is valid until the next one is asked for, and the
+    source stays open at the end; one that fails raises a TouchdError. `on_change` is called with each change of a live
+    source's state, before the None that follows it.
     """
     changes: Callable[[], Iterable[Change]] = getattr(source, "changes", tuple)
     read = source.read

@@ -17,14 +17,9 @@ from touchd.event import HealthEvent
 class Notifier:
     """The connection to the service manager, which can neither delay the daemon nor make it fail.
 
-    Parameters
-    ----------
-    address : str
-        The manager's socket: a path, or `@` and an abstract name; empty without a manager.
-    watchdog_s : float
-        The manager restarts the daemon after this time without a heartbeat; 0 is never.
-    clock : callable
-        CLOCK_MONOTONIC, ns: the manager compares it with its own.
+    `address` is the manager's socket: a path, or `@` and an abstract name; empty without a manager, which else restarts
+    the daemon after `watchdog_s` without a heartbeat; 0 is never. It compares `clock`, CLOCK_MONOTONIC in ns, with its
+    own.
     """
 
     def __init__(

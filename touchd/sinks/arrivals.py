@@ -37,12 +37,7 @@ _EVENT = struct.Struct("=Hi")  # kind of event, and for both that matter the des
 class Arrivals:
     """The monitor's events of a publisher, in order, and the door of its socket files.
 
-    Parameters
-    ----------
-    publisher : zmq.Socket
-        Before it is bound.
-    most : int
-        Connections that may stay: the door opens again when no more are left.
+    The publisher is not bound yet. Of the connections `most` may stay: the door opens again when no more are left.
     """
 
     def __init__(self, publisher: zmq.Socket[bytes], most: int) -> None:

@@ -13,7 +13,6 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import zmq
 from zmq.auth import create_certificates
 
 from touchd.errors import BusError, ConfigError, OutputError
@@ -34,22 +33,11 @@ class KeyPair:
     secret: bytes
 
 
-def new_pair() -> KeyPair:
-    """Return a new key pair."""
-    return KeyPair(*zmq.curve_keypair())
-
-
 def make_files(folder: Path, name: str) -> tuple[Path, Path]:
     """Write a new key pair. Return the paths of the public (mode 0644) and the secret file (mode 0600).
 
-    A missing folder is made, mode 0700.
-
-    Raises
-    ------
-    ConfigError
-        If the name is not a plain file name.
-    OutputError
-        If one of the files exists already, or cannot be written.
+    A missing folder is made, mode 0700. Raises ConfigError if the name is not a plain file name, OutputError if one of
+    the files exists already, or cannot be written.
     """
     if not _NAME.fullmatch(name):
         raise ConfigError("not a name for a key", repr(name), "use letters, digits, dot, dash and underscore")
@@ -87,10 +75,7 @@ def make_files(folder: Path, name: str) -> tuple[Path, Path]:
 def load_secret(path: Path) -> KeyPair:
     """Return the key pair of a secret key file.
 
-    Raises
-    ------
-    BusError
-        If the file is missing, holds no secret key, or can be read by others than its owner.
+    Raises BusError if the file is missing, holds no secret key, or can be read by others than its owner.
     """
     public, secret = _load(path, private=True)
     if public is None or secret is None:
@@ -99,13 +84,7 @@ def load_secret(path: Path) -> KeyPair:
 
 
 def load_public(path: Path) -> bytes:
-    """Return the public key of a key file, 40 characters of Z85.
-
-    Raises
-    ------
-    BusError
-        If the file is missing or holds no public key.
-    """
+    """Return the public key of a key file, 40 characters of Z85; raise BusError without a file or a public key."""
     public, _ = _load(path)
     if public is None:
         raise BusError("holds no CURVE public key", str(path), "name the .key file made by `touchd keygen`")
@@ -118,10 +97,7 @@ class ClientKeys:
     A file is read when it is new or has changed. One that holds no key is skipped, and logged once. While the folder
     cannot be looked at, for want of descriptors or permission, the keys known stay in force.
 
-    Raises
-    ------
-    BusError
-        If the folder cannot be read, or holds no key: nobody could subscribe.
+    Raises BusError if the folder cannot be read at first, or holds no key: nobody could subscribe.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -42,13 +42,7 @@ def is_file(address: str) -> bool:
 
 
 def split(address: str) -> tuple[str, str]:
-    """Return host and port of a `tcp://` address. An IPv6 host loses its brackets.
-
-    Raises
-    ------
-    BusError
-        If there is no host or no port.
-    """
+    """Return host and port of a `tcp://` address, IPv6 without brackets; raise BusError if either is missing."""
     host, _, port = address.removeprefix("tcp://").rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     if not host or not (port == "*" or (port.isascii() and port.isdigit() and int(port) <= 65535)):
@@ -67,13 +61,7 @@ def is_loopback(host: str) -> bool:
 
 
 def refuse_insecure(address: str) -> None:
-    """Raise if others than this computer's users can reach an address.
-
-    Raises
-    ------
-    InsecureBind
-        If the network, or every local user, can.
-    """
+    """Raise InsecureBind if the network, or every local user, can reach an address."""
     if is_file(address):
         if address.startswith("ipc://@"):
             raise InsecureBind(
@@ -96,12 +84,8 @@ def private_file(address: str, group: str) -> Iterator[None]:
     The file has mode 0600 from its first moment. With a group, the group is set first and mode 0660 last. The umask is
     that of the whole process: bind before other threads make files.
 
-    Raises
-    ------
-    AddressInUse
-        If a live publisher holds the path.
-    BusError
-        If the path holds anything else, or the group cannot be used.
+    Raises AddressInUse if a live publisher holds the path, BusError if it holds anything else, or the group cannot be
+    used.
     """
     if address.startswith("ipc://@"):
         yield

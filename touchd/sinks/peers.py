@@ -68,13 +68,9 @@ class _Peer:
 class Peers:
     """The connections of a publisher, and the topics that they want.
 
-    Parameters
-    ----------
-    publisher : zmq.Socket
-        An XPUB socket with XPUB_VERBOSER, before it is bound.
-    most : int
-        Connections at once, and at most half of the process's descriptors. One more takes the place of one that has
-        not subscribed, or of one of a peer that has several more; else it is refused.
+    The publisher is an XPUB socket with XPUB_VERBOSER, not bound yet. It has `most` connections at once, and at most
+    half of the process's descriptors. One more takes the place of one that has not subscribed, or of one of a peer that
+    has several more; else it is refused.
     """
 
     def __init__(

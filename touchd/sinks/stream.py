@@ -1,34 +1,86 @@
-"""One device's messages as one subscriber sees them: which repeat, how many were lost, and which are stale."""
+"""What came over the bus, as one subscriber sees it: decoded; which repeats, what is lost, and what is stale."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections import Counter
 from collections.abc import Callable
 from datetime import datetime
 
+import msgspec
 from msgspec.structs import replace
 
-from touchd.event import Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent
+from touchd.errors import BusError
+from touchd.event import DECODERS, TOPICS, VERSION, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent
 
+_LONGEST_BYTES = 1 << 20
+"""A spectrum has some ten thousand."""
+_KNOWN = {topic.encode(): (topic, DECODERS[topic].decode) for topic in TOPICS}
 _SHARED_NS = 1_000_000_000
 """The clocks of one computer agree this well about the time between its start and now."""
 _DRIFT = 2e-4
 """Two computers' clocks drift apart by less than this."""
 
 
+def decode_message(parts: list[bytes], address: str) -> Event | None:
+    """Return the event of a message, or None if its topic is newer than this program.
+
+    Raises BusError if the message is not one of the bus, and quotes nothing of it: a key press is secret.
+    """
+    known = _KNOWN.get(parts[0])
+    if known is None:
+        return None
+    topic, decode = known
+    if len(parts) != 2:
+        raise BusError(
+            f"a {topic} message of {len(parts)} parts instead of 2", address, "is it a touchd that publishes?"
+        )
+    if len(parts[1]) > _LONGEST_BYTES:
+        raise BusError(f"a {topic} message of {len(parts[1])} bytes", address, "is it a touchd that publishes?")
+    try:
+        event: Event = decode(parts[1])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        problem = _problem(error)
+        version = _version(parts[1])
+    else:
+        if event.v == VERSION:
+            return event
+        problem, version = "", event.v
+    if isinstance(version, int) and version != VERSION:
+        raise BusError(
+            f"a {topic} message of version {version}, and this program knows {VERSION}", address, "upgrade touchd here"
+        )
+    raise BusError(f"not a {topic} message ({problem})", address, "is it a touchd that publishes?")
+
+
+def _problem(error: Exception) -> str:
+    """Return which field is wrong; neither its value nor the error itself, which quotes it: a key press is secret."""
+    if not isinstance(error, msgspec.ValidationError):
+        return "payload: no JSON"
+    said, _, where = str(error).rpartition(" - at `")
+    expected = re.fullmatch(r"Expected `[a-z |]+`, got `[a-z]+`|Object missing required field `[a-z_]+`", said or where)
+    return f"{where.rstrip('`').removeprefix('$.') or 'payload'}: {expected[0] if expected else 'not as agreed'}"
+
+
+class _Versioned(msgspec.Struct):
+    v: object = VERSION
+
+
+def _version(payload: bytes) -> object:
+    """Return the version that an undecodable payload claims, or the known one if it claims none."""
+    try:
+        return msgspec.json.decode(payload, type=_Versioned).v
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return VERSION
+
+
 class Stream:
     """Follows one device.
 
     A message's age is its `t_ns` against CLOCK_MONOTONIC here, if both are the same clock: then `wall` less `t_ns` is
-    the same there and here. For another computer it is the delay beyond the least one seen.
-
-    Parameters
-    ----------
-    max_age_s : float
-        Messages older than this are stale; infinity for none.
-    lost, dropped : Counter
-        Grow by the messages that never came, and by those that are stale, by topic.
+    the same there and here. For another computer it is the delay beyond the least one seen. Beyond `max_age_s` a
+    message is stale. `lost` and `dropped` grow by the messages that never came, and by those that are stale, by topic.
     """
 
     def __init__(
@@ -65,15 +117,9 @@ class Stream:
         if last is not None and event.seq > last[0] + 1:
             self._lost[event.type] += event.seq - last[0] - 1
         follows = last is not None and event.seq == last[0] + 1 and event.t_ns >= last[1]
-        now_ns = self._clock()
-        fresh = follows and self._shared and 0 <= now_ns - event.t_ns - self._least_ns <= self._max_age_ns
-        if fresh or not self._is_stale(event, now_ns, follows=follows):  # nearly always the former
+        if not self._is_stale(event, self._clock(), follows=follows):
             if isinstance(event, TouchEvent):
-                self._touched = False
-                for contact in event.contacts:  # `any` would be another function in each frame
-                    if contact.phase != "up":
-                        self._touched = True
-                        break
+                self._touched = any(contact.phase != "up" for contact in event.contacts)
             elif isinstance(event, KeyEvent):
                 self._note(event)
             return event

@@ -36,14 +36,8 @@ class ZeromqSink:
     subscriber gets the last message of its topic. XPUB cannot address one subscriber: all of that topic receive it
     again, byte for byte, with the same `seq`.
 
-    Raises
-    ------
-    AddressInUse
-        If another process publishes at one of the addresses.
-    InsecureBind
-        If an address beyond loopback was asked for without keys.
-    BusError
-        If a key, a group or an address cannot be used.
+    Raises AddressInUse if another process publishes at one of the addresses, InsecureBind for one beyond loopback
+    without keys, BusError if a key, a group or an address cannot be used.
     """
 
     def __init__(self, settings: BusSettings, clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -109,7 +103,11 @@ class ZeromqSink:
             except zmq.Again:
                 break
         for topic in sorted(new & self._last.keys() & self._peers.wanted):
-            self._send_last(topic)
+            last = self._last[topic]
+            if not isinstance(last, bytes):  # nobody was subscribed
+                # Not `encode_at`: its time in the cache is no latency, and the field stays 0.
+                last = self._last[topic] = encode(last)
+            self._send(topic, last)
 
     def wait_for_subscriber(
         self, timeout_s: float, topic: str = "touch", stopped: Callable[[], bool] = lambda: False
@@ -147,14 +145,6 @@ class ZeromqSink:
         """Send one message. The socket drops it for each subscriber that is behind."""
         self._socket.send(self._topic_frames[topic], _MORE)
         self._socket.send(body, _NOBLOCK)
-
-    def _send_last(self, topic: str) -> None:
-        """Send the last message of a topic again, or for the first time if nobody was subscribed."""
-        last = self._last[topic]
-        if not isinstance(last, bytes):
-            # Not `encode_at`: its time in the cache is no latency, and the field stays 0.
-            last = self._last[topic] = encode(last)
-        self._send(topic, last)
 
     def _bind_all(self, settings: BusSettings) -> tuple[str, ...]:
         """Bind every address. Return the bound addresses in the order of the settings."""

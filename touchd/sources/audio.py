@@ -68,10 +68,7 @@ def rate_of(acquisition: Acquisition, settings: DeviceSettings) -> int:
 class AudioDaq:
     """The `Daq` over an open card.
 
-    Parameters
-    ----------
-    reference : array of shape (channels, samples), optional
-        The untouched response that the model was made from.
+    `reference` is the untouched response that the model was made from, shape (channels, samples).
     """
 
     corrupt = 0
@@ -264,12 +261,8 @@ def open_audio(
 ) -> DaqSource:
     """Return the source of a card that may be plugged in later.
 
-    Raises
-    ------
-    ConfigError
-        No card is named, or the frame rate does not fit the sample rate.
-    ModelMismatch
-        The model was made for another acquisition than [audio] says.
+    Raises ConfigError if no card is named, or the frame rate does not fit the sample rate; ModelMismatch if the model
+    was made for another acquisition than [audio] says.
     """
     audio = settings.audio
     if not name:

@@ -44,12 +44,8 @@ class DeviceClock:
     A clock whose rate no crystal has (another unit, or no clock at all) is given up: times are then those of arrival,
     and `fault` says why, until the rate is right for 30 s.
 
-    Parameters
-    ----------
-    complete_ns : int
-        Time from the start of a chirp to its last sample, the least delay of a frame.
-    last_t_ns : int
-        Time of the last frame of an earlier connection: later frames are later.
+    `complete_ns` is the time from the start of a chirp to its last sample, the least delay of a frame; `last_t_ns` that
+    of the last frame of an earlier connection: later frames are later.
     """
 
     def __init__(self, complete_ns: int, last_t_ns: int = -1) -> None:
@@ -71,12 +67,8 @@ class DeviceClock:
     def map(self, timestamp_us: int, received_ns: int) -> int:
         """Return when a frame's chirp began, CLOCK_MONOTONIC in ns; it increases from call to call.
 
-        Parameters
-        ----------
-        timestamp_us : int
-            The device's clock at the start of the chirp.
-        received_ns : int
-            CLOCK_MONOTONIC when the frame was complete on this computer.
+        `timestamp_us` is the device's clock at the start of the chirp, `received_ns` CLOCK_MONOTONIC when the frame was
+        complete on this computer.
         """
         device_ns = timestamp_us * 1000
         step_ns = device_ns - self._last_ns

@@ -5,56 +5,37 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
-import numpy as np
-
-from touchd.frame import Counts, Frame
+from touchd.frame import Frame
 from touchd.sources.daq import Daq, DaqFrame
 
 Mark = TypeVar("Mark")
 
 
-class _Waiting(NamedTuple):
-    slot: int
-    sequence: int
-    t_ns: int
-    received_ns: int
-
-
 class FrameRing(Generic[Mark]):
     """Frames from one thread to another, with marks of any type between them, in order.
 
-    Parameters
-    ----------
-    frames : int
-        Frames that may wait. This bounds the latency: a reader who falls behind loses the oldest frames.
-    shape : tuple of int
-        Of a frame's counts, (channels, samples).
+    At most `frames` wait. This bounds the latency: a reader who falls behind loses the oldest frames.
     """
 
-    def __init__(self, frames: int, shape: tuple[int, int]) -> None:
+    def __init__(self, frames: int) -> None:
         self.dropped = 0
         """Frames dropped because the reader was behind."""
-        # One slot more, which the reader holds.
-        memory = np.zeros((frames + 1, *shape), np.int16)
-        self._slots: list[Counts] = list(memory)
-        read_only = memory.view()
-        read_only.flags.writeable = False
-        self._views: list[Counts] = list(read_only)
-        self._free = list(range(len(self._slots)))
-        self._held: int | None = None
-        self.waiting: deque[_Waiting | Mark] = deque()
+        self._room = frames
+        self.waiting: deque[Frame | Mark] = deque()
         """Frames and marks in order: look whether any waits, no more."""
         self._changed = threading.Condition()
 
-    def put(self, counts: Counts, sequence: int, t_ns: int, received_ns: int) -> None:
-        """Copy a frame in, the only copy on its way. `counts` may be any view of shape (channels, samples)."""
+    def put(self, frame: Frame) -> None:
+        """Copy a frame in, the only copy on its way."""
+        kept = frame.copy()
+        kept.counts.flags.writeable = False
         with self._changed:
-            slot = self._free.pop() if self._free else self._drop()
-        self._slots[slot][:] = counts
-        with self._changed:
-            self.waiting.append(_Waiting(slot, sequence, t_ns, received_ns))
+            if not self._room:
+                self._drop()
+            self._room -= 1
+            self.waiting.append(kept)
             self._changed.notify()
 
     def mark(self, mark: Mark) -> None:
@@ -64,20 +45,18 @@ class FrameRing(Generic[Mark]):
             self._changed.notify()
 
     def take(self, timeout_s: float, until: Callable[[], object] = lambda: None) -> Frame | None:
-        """Return the next frame, valid until the next call.
+        """Return the next frame.
 
         None if none comes in time, a mark comes first, or `until` holds: whoever makes it hold calls `wake` after.
         """
         with self._changed:
             if not self.waiting and not until():
                 self._changed.wait(timeout_s)
-            if not self.waiting or not isinstance(first := self.waiting[0], _Waiting):
+            if not self.waiting or not isinstance(first := self.waiting[0], Frame):
                 return None
             self.waiting.popleft()
-            if self._held is not None:
-                self._free.append(self._held)
-            self._held = first.slot
-        return Frame(self._views[first.slot], first.sequence, first.t_ns, first.received_ns)
+            self._room += 1
+        return first
 
     def wake(self) -> None:
         """Let `take` return at once if it waits; one that begins to wait looks at its `until`."""
@@ -88,19 +67,16 @@ class FrameRing(Generic[Mark]):
         """Take the marks that come before the next frame."""
         found: list[Mark] = []
         with self._changed:
-            while self.waiting and not isinstance(first := self.waiting[0], _Waiting):
+            while self.waiting and not isinstance(first := self.waiting[0], Frame):
                 found.append(first)
                 self.waiting.popleft()
         return found
 
-    def _drop(self) -> int:
-        """Remove the oldest frame, keep the marks before it, and return its slot."""
-        for i, item in enumerate(self.waiting):
-            if isinstance(item, _Waiting):
-                del self.waiting[i]
-                self.dropped += 1
-                return item.slot
-        raise AssertionError("no slot is free, so a frame waits")
+    def _drop(self) -> None:
+        """Remove the oldest frame, and keep the marks before it."""
+        del self.waiting[next(i for i, item in enumerate(self.waiting) if isinstance(item, Frame))]
+        self.dropped += 1
+        self._room += 1
 
 
 class Lending:

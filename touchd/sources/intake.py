@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+from touchd.frame import Frame
 from touchd.sources.daq import Daq, DaqFrame
 from touchd.sources.device_clock import DeviceClock
 from touchd.sources.source import Tally
 
 
-class Numbering:
-    """Numbers of frames that continue over a restart of the stream and over a reconnection."""
+class Intake:
+    """What one source knows of its frames, over all connections.
 
-    def __init__(self) -> None:
+    Their numbers continue over a restart of the stream and over a reconnection. A frame that is later than a period of
+    the full rate `rate_hz` is late.
+    """
+
+    def __init__(self, rate_hz: int) -> None:
+        self.tally = Tally()
+        self._period_ns = 1_000_000_000 // rate_hz
+        self._last_ns = -1
+        self._corrupt = 0  # on earlier connections
         self._sequence: int | None = None  # of the last frame, as the device counts
         self._number: int | None = None  # of the last frame, as the source counts
-        self._corrupt = 0  # corrupt frames up to the last number
+        self._corrupt_before = 0  # corrupt frames up to the last number
+        self._clock = DeviceClock(0)
+
+    def connect(self, daq: Daq) -> None:
+        """Begin with a device, and its clock."""
+        complete_ns = round(1e9 * daq.acquisition.samples / daq.acquisition.sample_rate_hz)
+        self._clock = DeviceClock(complete_ns, self._last_ns)
+        self._corrupt = self.tally.corrupt
 
     def restart(self) -> None:
         """Let the next frame have any number of the device: nothing is lost before it."""
@@ -30,31 +46,10 @@ class Numbering:
             self._number = sequence - 1
         elif self._sequence is not None:
             step = sequence - self._sequence
-            lost = max(0, step - 1 - (corrupt - self._corrupt))
-        self._sequence, self._corrupt = sequence, corrupt
+            lost = max(0, step - 1 - (corrupt - self._corrupt_before))
+        self._sequence, self._corrupt_before = sequence, corrupt
         self._number += step
         return self._number, lost
-
-
-class Intake:
-    """What one source knows of its frames, over all connections.
-
-    A frame that is later than a period of the full rate `rate_hz` is late.
-    """
-
-    def __init__(self, rate_hz: int) -> None:
-        self.tally = Tally()
-        self.numbering = Numbering()
-        self._period_ns = 1_000_000_000 // rate_hz
-        self._last_ns = -1
-        self._corrupt = 0  # on earlier connections
-        self._clock = DeviceClock(0)
-
-    def connect(self, daq: Daq) -> None:
-        """Begin with a device, and its clock."""
-        complete_ns = round(1e9 * daq.acquisition.samples / daq.acquisition.sample_rate_hz)
-        self._clock = DeviceClock(complete_ns, self._last_ns)
-        self._corrupt = self.tally.corrupt
 
     def count_corrupt(self, daq: Daq) -> None:
         """Count the corrupt frames up to the one just read."""
@@ -65,14 +60,14 @@ class Intake:
         """What is wrong with the device's clock, for a person."""
         return self._clock.fault
 
-    def take(self, frame: DaqFrame, received_ns: int, away_ns: int = 0) -> tuple[int, int] | None:
-        """Return a frame's number and time; None if it is no measurement.
+    def take(self, frame: DaqFrame, received_ns: int, away_ns: int = 0) -> Frame | None:
+        """Return a frame with its number and time; None if it is no measurement.
 
         `away_ns` is for how long nobody has read the device before: what it sent then and could not keep was not lost
         on its way, this computer was behind.
         """
         tally, clock = self.tally, self._clock
-        number, lost = self.numbering.number(frame.sequence, tally.corrupt)
+        number, lost = self.number(frame.sequence, tally.corrupt)
         if lost and away_ns >= lost * self._period_ns:
             tally.behind += lost
         elif lost:
@@ -86,4 +81,4 @@ class Intake:
         if clock.delay_ns > self._period_ns:
             tally.late += 1
         tally.clock_ppm = clock.ppm
-        return number, t_ns
+        return Frame(frame.counts, number, t_ns, received_ns)

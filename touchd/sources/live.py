@@ -21,12 +21,11 @@ from collections.abc import Callable
 import structlog
 
 from touchd.config.schema import DeviceSettings
-from touchd.errors import ReaderFailed, SourceError, TouchdError
+from touchd.errors import ReaderFailed, TouchdError
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
-from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqFrame, DaqGone, Waits
-from touchd.sources.device_search import DeviceSearch, check_rate, open_first
+from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqFrame, DaqGone, DeviceSearch, Waits
 from touchd.sources.frame_ring import FrameRing, Lending
 from touchd.sources.intake import Intake
 from touchd.sources.source import Change, EndOfStream
@@ -44,18 +43,9 @@ log = structlog.get_logger()
 class DaqSource:
     """Frames from a device that may stall, be unplugged, or be plugged in later.
 
-    Parameters
-    ----------
-    candidates : callable
-        Lists the devices to choose from; the first that can be used is.
-    acquisition : Acquisition
-        What the frames must look like.
-    check : callable
-        Raises a TouchdError if a device with another acquisition must not be used: it is skipped.
-    device : Device, optional
-        Serial number and firmware, if the device was open before.
-    direct : bool
-        The caller of `read` may read the device, which can wait for it.
+    The first of the `candidates` that can be used is; its frames must look like `acquisition`. `check` raises a
+    TouchdError if a device with another acquisition must not be used: it is skipped. `device` has serial number and
+    firmware, if the device was open before. If it can wait for its reader (`direct`), the caller of `read` may read it.
     """
 
     def __init__(
@@ -82,7 +72,7 @@ class DaqSource:
         self._lending = Lending()
         self._streaming: Daq | None = None
         self._commanding = threading.Lock()  # of `_streaming`: no device is closed while it is commanded
-        self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
+        self._ring: FrameRing[Change] = FrameRing(settings.queue_frames)
         self._state: State = "starting"
         self._reason, self._direct, self._wanted = "", direct, False
         self._alive_ns = self._seen_ns = clock()
@@ -96,12 +86,8 @@ class DaqSource:
     def read(self, timeout_s: float) -> Frame | None:
         """Return the next frame; None if none came in time, or once the state has changed (see `changes`).
 
-        Raises
-        ------
-        EndOfStream
-            After `close`.
-        TouchdError
-            The thread has died (ReaderFailed), or no device will ever be found (SourceError).
+        Raises EndOfStream after `close`, ReaderFailed if the thread has died, SourceError if no device will ever be
+        found.
         """
         if self._closing.is_set():
             raise EndOfStream
@@ -234,7 +220,7 @@ class DaqSource:
 
     def _start(self, daq: Daq) -> None:
         daq.start(self._settings.rate_hz)
-        self._intake.numbering.restart()
+        self._intake.restart()
         with self._commanding:
             self._streaming = daq
             if self._rate_hz != self._settings.rate_hz:
@@ -245,11 +231,11 @@ class DaqSource:
         taken = self._intake.take(frame, received_ns, away_ns)
         if self._state != "streaming" or self._intake.fault != self._clock_fault:
             self._enter_streaming(self._intake.fault)
-        if taken is not None and direct and not self._ring.waiting:
-            return Frame(frame.counts, *taken, received_ns)
+        if direct and not self._ring.waiting:
+            return taken
         if taken is not None:
             dropped = self._ring.dropped
-            self._ring.put(frame.counts, *taken, received_ns)
+            self._ring.put(taken)
             self.tally.behind += self._ring.dropped - dropped
         return None
 
@@ -264,27 +250,3 @@ class DaqSource:
         if (state, reason) != (self._state, self._reason):
             self._state, self._reason = state, reason
             self._ring.mark(Change(state, reason))
-
-
-def open_live(candidates: Candidates, settings: DeviceSettings, waits: Waits = WAITS) -> DaqSource:
-    """Return the source of a device that is plugged in now, and whose acquisition decides.
-
-    Raises
-    ------
-    DeviceLost, DeviceBusy
-        No device is there, or another program uses it.
-    ConfigError
-        It does not have the frame rate.
-    """
-    daq = open_first(candidates)
-    acquisition, device = daq.acquisition, daq.device
-    daq.close()
-    check_rate(daq, settings)
-
-    def check(found: Acquisition) -> None:
-        if found != acquisition:
-            raise SourceError(
-                f"another DAQ, whose frames are {found}, not {acquisition}", "device", "plug in the first one"
-            )
-
-    return DaqSource(candidates, settings, acquisition, check, device, waits=waits)

@@ -20,7 +20,6 @@ from nidaqmx.constants import AcquisitionType, RegenerationMode
 from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError
 from numpy.typing import NDArray
 
-from touchd.chirp import waveform
 from touchd.config.rigs import NiSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
@@ -34,12 +33,8 @@ _DRIVER_FIX = "install NI-DAQmx, which the package needs"
 class NiDaq:
     """An open rig, which plays the chirp of `acquisition` and samples its frames.
 
-    Raises
-    ------
-    DaqAbsent
-        The driver does not find the device.
-    SourceError
-        The driver is not installed, or the inputs are not sampled simultaneously.
+    Raises DaqAbsent if the driver does not find the device; SourceError if there is no driver, or the inputs are not
+    sampled simultaneously.
     """
 
     corrupt = 0
@@ -71,7 +66,7 @@ class NiDaq:
         acquisition = self.acquisition
         period = _whole(acquisition.sample_rate_hz / rate_hz, "the sample rate", rate_hz)
         played = _whole(acquisition.chirp.dac_rate_hz / rate_hz, "the DAC's rate", rate_hz)
-        chirp = self._settings.amplitude_v * waveform(acquisition.chirp)
+        chirp = self._settings.amplitude_v * acquisition.chirp.waveform()
         if len(chirp) > played or acquisition.samples > period:
             raise ConfigError(f"is {rate_hz}: a frame lasts longer than that", "device.rate_hz", "lower it")
         try:

@@ -52,20 +52,11 @@ def open_source(
 ) -> Source:  # fmt: skip
     """Open the source that was chosen; import its backend only then.
 
-    Parameters
-    ----------
-    settings : Settings
-        `device`, `ni` and `audio` configure a DAQ.
-    model : Model, optional
-        The model that the frames are for. With a model a DAQ may be plugged in later, and a DAQ that the model does not
-        fit is refused; without one a DAQ on USB decides what frames are.
-    late : bool
-        Without a model, too, a DAQ on USB may be plugged in later. It must then be like the paper's.
+    With the model that the frames are for, a DAQ may be plugged in later, and one that does not fit the model is
+    refused. Without one a DAQ on USB decides what frames are; with `late` it too may be plugged in later, and must then
+    be like the paper's.
 
-    Raises
-    ------
-    SourceError
-        Several sources are named, a scene is given a speed, or the DAQ cannot be used.
+    Raises SourceError if several sources are named, a scene is given a speed, or the DAQ cannot be used.
     """
     given = {"--replay": choice.replay is not None, "--simulate": choice.simulate is not None, "--ni": choice.ni,
              "--audio": choice.audio is not None}  # fmt: skip
@@ -79,7 +70,10 @@ def open_source(
     if choice.simulate is not None:
         return _simulate(choice.simulate, choice, model)
     if choice.audio is not None:
-        return _open_audio(settings, model, choice.audio)
+        from touchd.audio.alsa import AlsaCard
+        from touchd.sources.audio import open_audio
+
+        return open_audio(settings, AlsaCard, choice.audio or settings.audio.device, model)
     return _open_ni(settings, model) if choice.ni else _open_usb(settings, model, late=late)
 
 
@@ -102,13 +96,6 @@ def _open_ni(settings: Settings, model: Model | None) -> Source:
     acquisition = model.description.acquisition if model else PAPER
     check = model.check if model else lambda _: None
     return DaqSource(lambda: iter([lambda: NiDaq(settings.ni, acquisition)]), settings.device, acquisition, check)
-
-
-def _open_audio(settings: Settings, model: Model | None, name: str) -> Source:
-    from touchd.audio.alsa import AlsaCard
-    from touchd.sources.audio import open_audio
-
-    return open_audio(settings, AlsaCard, name or settings.audio.device, model)
 
 
 def _open_usb(settings: Settings, model: Model | None, *, late: bool) -> Source:

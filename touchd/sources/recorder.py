@@ -1,4 +1,4 @@
-"""Record from any source: pass its frames on, and write them to a file or folder."""
+"""Write frames of any source to a file or folder."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.errors import OutputError
 from touchd.files import writing
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording import format as recording
 from touchd.recording.data import Device, Meta, Recording
-from touchd.sources.source import Change, LiveSource, Source
 
 CHUNK_FRAMES = 5000
 """Frames in a chunk of a folder: at 125 frames a second, a power cut costs at most 40 s."""
@@ -49,36 +47,17 @@ def describe(
 
 
 class Recorder:
-    """A source that records the frames of another one.
+    """Records frames.
 
     A path that ends in `.npz` becomes one file, written by `close`. Any other becomes a folder of numbered chunks; a
     thread writes each chunk as soon as it is full, so that no frame waits for the disk.
 
-    Parameters
-    ----------
-    source : Source
-        The source to record; `close` closes it too.
-    path : Path
-        File or folder to write; it must not exist yet.
-    meta : Meta
-        The recording's description, see `describe`.
-
-    Raises
-    ------
-    OutputError
-        The path exists, or cannot be written.
+    `meta` describes the recording, see `describe`. Raises OutputError if the path exists already, or cannot be written.
     """
 
     def __init__(
-        self,
-        source: Source,
-        path: Path,
-        meta: Meta,
-        *,
-        chunk_frames: int = CHUNK_FRAMES,
-        max_file_frames: int = MAX_FILE_FRAMES,
+        self, path: Path, meta: Meta, *, chunk_frames: int = CHUNK_FRAMES, max_file_frames: int = MAX_FILE_FRAMES
     ) -> None:
-        self.acquisition = source.acquisition
         self.meta = meta
         self.path = path
         self.frames = 0
@@ -86,59 +65,26 @@ class Recorder:
         self.lost = 0
         """Frames that the source's counter skipped."""
         self.dropped = 0
-        """Frames passed on but not recorded, because their number or time did not increase."""
-        self._source = source
+        """Frames not recorded, because their number or time did not increase."""
         self._single = path.suffix == ".npz"
         self._chunk_frames = chunk_frames
         self._max_frames = max_file_frames if self._single else None
-        self._blocks: list[Block] = []
+        self._kept: list[Frame] = []  # in memory
         self._chunks = 0
         self._last: Frame | None = None
         self._epoch_ns = 0
-        self._writing: Future[int] | None = None
-        self._closed = False
+        self._writing: Future[None] | None = None
         prepare(path, self._single)
         self._writer = ThreadPoolExecutor(1, "touchd-recorder")
 
-    def read(self, timeout_s: float) -> Frame | None:
-        """Record and return the source's next frame.
+    def keep(self, frame: Frame) -> None:
+        """Record a frame.
 
-        Raises
-        ------
-        OutputError
-            A chunk could not be written, or a single file is full; `close` still saves what is in memory.
+        Raises OutputError if a chunk could not be written, or a single file is full; `close` still saves what is in
+        memory.
         """
-        frame = self._source.read(timeout_s)
         if self._writing is not None and self._writing.done():
             self._finish_writing()
-        if frame is not None:
-            self._keep(frame)
-        return frame
-
-    def changes(self) -> list[Change]:
-        """Take the changes of a live source's state; no frame overtakes them."""
-        return self._source.changes() if isinstance(self._source, LiveSource) else []
-
-    def close(self) -> None:
-        """Write the rest, and close the source. Without a frame no file is made.
-
-        Raises
-        ------
-        OutputError
-            The rest could not be written.
-        """
-        if self._closed:
-            return
-        self._closed = True
-        with ExitStack() as steps:  # from the last to the first, and each even if others fail
-            steps.callback(self._remove_if_empty)
-            steps.callback(self._writer.shutdown)
-            steps.callback(self._finish_writing)
-            steps.callback(self._flush)
-            steps.callback(self._finish_writing)
-            steps.callback(self._source.close)
-
-    def _keep(self, frame: Frame) -> None:
         if self._last is None:
             self._epoch_ns = frame.t_ns
         elif frame.sequence <= self._last.sequence or frame.t_ns <= self._last.t_ns:
@@ -149,24 +95,31 @@ class Recorder:
                 f"is full: one file holds {self._max_frames} frames", str(self.path),
                 "record into a folder: give a name that does not end in .npz",
             )  # fmt: skip
-        if not self._blocks or self._blocks[-1].size == self._chunk_frames:
-            self._blocks.append(Block(self._chunk_frames, self.acquisition))
         if self._last is not None:
             self.lost += frame.sequence - self._last.sequence - 1
-        self._blocks[-1].append(frame, frame.t_ns - self._epoch_ns)
+        self._kept.append(frame.copy())
         self._last = frame
         self.frames += 1
-        if not self._single and self._blocks[-1].size == self._chunk_frames:
+        if not self._single and len(self._kept) == self._chunk_frames:
             self._finish_writing()
             self._flush()
 
+    def close(self) -> None:
+        """Write the rest, or raise OutputError; without a frame no file is made. Further calls do nothing."""
+        with ExitStack() as steps:  # from the last to the first, and each even if others fail
+            steps.callback(self._remove_if_empty)
+            steps.callback(self._writer.shutdown)
+            steps.callback(self._finish_writing)
+            steps.callback(self._flush)
+            steps.callback(self._finish_writing)
+
     def _flush(self) -> None:
-        """Queue the blocks in memory for the writing thread."""
-        blocks, self._blocks = self._blocks, []
-        if blocks:
+        """Queue the frames in memory for the writing thread."""
+        frames, self._kept = self._kept, []
+        if frames:
             path = self.path if self._single else self.path / f"{self._chunks:06d}.npz"
             self._chunks += 1
-            self._writing = self._writer.submit(write_blocks, path, self.meta, blocks)
+            self._writing = self._writer.submit(write_frames, path, self.meta, frames, self._epoch_ns)
 
     def _finish_writing(self) -> None:
         writing, self._writing = self._writing, None
@@ -179,38 +132,12 @@ class Recorder:
                 self.path.rmdir()
 
 
-class Block:
-    """Memory for a number of frames, filled from the front."""
-
-    def __init__(self, frames: int, acquisition: Acquisition) -> None:
-        self.size = 0
-        self.counts: NDArray[np.int16] = np.empty((frames, *acquisition.shape), np.int16)
-        self.sequence: NDArray[np.int64] = np.empty(frames, np.int64)
-        self.timestamp_ns: NDArray[np.int64] = np.empty(frames, np.int64)
-
-    def append(self, frame: Frame, timestamp_ns: int) -> None:
-        """Copy a frame in; the block must not be full."""
-        self.counts[self.size] = frame.counts
-        self.sequence[self.size] = frame.sequence
-        self.timestamp_ns[self.size] = timestamp_ns
-        self.size += 1
-
-    def copy(self) -> Block:
-        """Return a full block with copies of the frames."""
-        twin = Block.__new__(Block)
-        twin.size = self.size
-        twin.counts, twin.sequence = self.counts[: self.size].copy(), self.sequence[: self.size].copy()
-        twin.timestamp_ns = self.timestamp_ns[: self.size].copy()
-        return twin
-
-
-def write_blocks(path: Path, meta: Meta, blocks: list[Block], *, epoch_ns: int = 0, compress: bool = True) -> int:
-    """Write blocks as one file whose time counts from `epoch_ns`, and return the number of frames."""
-    frames = np.concatenate([block.counts[: block.size] for block in blocks])
-    sequence = np.concatenate([block.sequence[: block.size] for block in blocks])
-    timestamp_ns = np.concatenate([block.timestamp_ns[: block.size] for block in blocks]) - epoch_ns
-    recording.write(path, Recording(meta, frames, sequence, timestamp_ns), compress=compress)
-    return len(frames)
+def write_frames(path: Path, meta: Meta, frames: list[Frame], epoch_ns: int, *, compress: bool = True) -> None:
+    """Write frames as one file whose time counts from `epoch_ns`."""
+    counts = np.stack([frame.counts for frame in frames])
+    sequence = np.array([frame.sequence for frame in frames], np.int64)
+    timestamp_ns = np.array([frame.t_ns for frame in frames], np.int64) - epoch_ns
+    recording.write(path, Recording(meta, counts, sequence, timestamp_ns), compress=compress)
 
 
 def prepare(path: Path, single: bool) -> None:

@@ -20,24 +20,13 @@ _MAX_WAIT_S = 1e6
 class ReplaySource:
     """Frames of a recording, at the pace of their timestamps. A slow reader gets every frame, late ones at once.
 
-    A frame's `t_ns` is the clock at the first frame plus the recorded time since then, at every speed. The counts are
-    read-only views of the recording in memory; of a folder one chunk is in memory at a time.
+    A frame's `t_ns` is the clock at the first frame plus the recorded time since then, at every `speed`: 2 takes half
+    as long as the recording, infinity never waits. If it is to loop, sequence and time continue, with one frame period
+    between the laps. The counts are read-only views of the recording in memory; of a folder one chunk is in memory at a
+    time.
 
-    Parameters
-    ----------
-    path : Path
-        A recording: a file, or a folder of chunks.
-    speed : float
-        1 takes as long as the recording, 2 half as long; infinity never waits.
-    loop : bool
-        Restart at the end. Sequence and time continue, with one frame period between the laps.
-
-    Raises
-    ------
-    RecordingError
-        The recording cannot be used. A later chunk of a folder raises it from `read`.
-    ConfigError
-        The speed is below 0.001.
+    Raises RecordingError if the recording cannot be used; `read` raises it for a later chunk of a folder. Raises
+    ConfigError for a speed below 0.001.
     """
 
     def __init__(
@@ -76,10 +65,8 @@ class ReplaySource:
     def read(self, timeout_s: float) -> Frame | None:
         """Return the next frame once it is due; None if it is not due within `timeout_s`.
 
-        Raises
-        ------
-        EndOfStream
-            After the last frame, unless the replay loops; before numbers or times overflow; or after `close`.
+        Raises EndOfStream after the last frame, unless the replay loops; before numbers or times overflow; after
+        `close`.
         """
         i = self._next
         if i == len(self._sequence):

@@ -24,26 +24,11 @@ class SimulatedSource:
     """A scene as if it happened now. A slow reader gets every frame, late ones at once.
 
     A frame's `t_ns` is the clock at the first frame plus the scene's own time, so events do not depend on the speed of
-    this computer. The first lap is bit for bit what `simulate_scene` returns for the seed; later laps repeat the scene
-    with other noise. At a lower rate (`set_rate`) the source leaves out the frames between.
+    this computer. The first lap, of `frames` if given, is bit for bit what `simulate_scene` returns for the seed; later
+    laps, if it is to loop, repeat the scene with other noise; sequence and time continue. Unless it is `paced`, frames
+    come as soon as they are computed. At a lower rate (`set_rate`) the source leaves out the frames between.
 
-    Parameters
-    ----------
-    scene : str
-        One of `touchd.twin.scenes.catalogue.SCENES`.
-    frames : int, optional
-        Frames of one lap; by default as many as the scene needs.
-    paced : bool
-        Return each frame when it is due; otherwise as soon as it is computed.
-    loop : bool
-        Restart at the end. Sequence and time continue.
-    instrument : Instrument, optional
-        By default that of the default plate.
-
-    Raises
-    ------
-    SimulationError
-        The scene is unknown, too short, or does not fit the plate.
+    Raises SimulationError if the scene is unknown, too short, or does not fit the plate.
     """
 
     def __init__(
@@ -83,12 +68,8 @@ class SimulatedSource:
     def read(self, timeout_s: float) -> Frame | None:
         """Return the next frame once it is due and computed; None if that takes longer than `timeout_s`.
 
-        Raises
-        ------
-        EndOfStream
-            After the last frame, unless the scene loops; or after `close`.
-        SimulationError
-            The twin has failed.
+        Raises EndOfStream after the last frame, unless the scene loops, and after `close`; SimulationError if the twin
+        has failed.
         """
         if self._ended:
             raise EndOfStream

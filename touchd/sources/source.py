@@ -22,13 +22,7 @@ class Source(Protocol):
     acquisition: Acquisition
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Return the next frame; None if none comes in time.
-
-        Raises
-        ------
-        EndOfStream
-            The source has no further frame.
-        """
+        """Return the next frame; None if none comes in time; raises EndOfStream once there is no further one."""
 
     def close(self) -> None:
         """Release what the source holds; further calls do nothing."""
@@ -72,10 +66,7 @@ class AdjustableSource(Protocol):
     def set_rate(self, rate_hz: int) -> bool:
         """Ask for this rate from the next frame on; a device that has one rate alone keeps it.
 
-        Returns
-        -------
-        bool
-            Whether nothing is left to ask for; False if the device did not answer.
+        Return whether nothing is left to ask for; False if the device did not answer.
         """
 
 

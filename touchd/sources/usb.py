@@ -17,8 +17,8 @@ import usb.util
 from touchd.config.schema import DeviceSettings
 from touchd.errors import SourceError
 from touchd.frame import Acquisition
-from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqBusy, DaqGone, DaqUnfit, Waits
-from touchd.sources.live import DaqSource, open_live
+from touchd.sources.daq import WAITS, Daq, DaqAbsent, DaqBusy, DaqGone, DaqUnfit, Waits, check_rate, open_first
+from touchd.sources.live import DaqSource
 from touchd.sources.usb_protocol import INFO_BYTES, INTERFACE_CLASS, Info, ProtocolFault, Request, parse_info
 from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq, acquisition_of
 
@@ -30,20 +30,8 @@ _SYSTEM_LIBUSB = "libusb-1.0.so.0"
 class UsbDevice:
     """An open device of protocol 1 whose interface is claimed: what `UsbDaq` needs of it.
 
-    Parameters
-    ----------
-    device : usb.core.Device
-    configuration : int
-        The value of the interface's configuration.
-    interface : usb.core.Interface
-        The interface of protocol 1.
-
-    Raises
-    ------
-    DaqAbsent
-        The device cannot be opened.
-    DaqUnfit
-        It does not speak protocol 1.
+    It takes pyusb's device and interface, and the value of the interface's configuration. Raises DaqAbsent if the
+    device cannot be opened, DaqUnfit if it does not speak protocol 1.
     """
 
     def __init__(self, device: Any, configuration: int, interface: Any) -> None:
@@ -173,38 +161,31 @@ def open_usb(
     backend: Any = None,
     waits: Waits = WAITS,
 ) -> DaqSource:
-    """Return the source of a DAQ on USB.
+    """Return the source of a DAQ on USB, by libusb or another backend of pyusb's; SourceError without libusb.
 
-    Parameters
-    ----------
-    acquisition : Acquisition, optional
-        What the frames must look like; the device may then be plugged in later, and `check` compares (see `DaqSource`).
-        Without it the device must be plugged in, and decides.
-    backend : usb.backend.IBackend, optional
-        Instead of libusb.
-
-    Raises
-    ------
-    DeviceLost, DeviceBusy
-        No acquisition is given, and no device is plugged in, or another program uses it.
-    SourceError
-        libusb is not installed.
+    With the acquisition that frames must have, the device may be plugged in later, and `check` compares (see
+    `DaqSource`). Without it the device must be plugged in, and decides: DeviceLost if there is none, DeviceBusy if
+    another program uses it, and ConfigError if it does not have the frame rate.
     """
-    found: Candidates = partial(candidates, settings, backend or libusb())  # without libusb this fails now
+    found = partial(candidates, settings, backend or libusb())  # without libusb this fails now
+    device = None
     if acquisition is None:
-        return open_live(found, settings, waits)
-    return DaqSource(found, settings, acquisition, check, waits=waits)
+        daq = open_first(found)
+        acquisition, device = daq.acquisition, daq.device
+        daq.close()
+        check_rate(daq, settings)
+        check = partial(_refuse_another, acquisition)
+    return DaqSource(found, settings, acquisition, check, device, waits=waits)
+
+
+def _refuse_another(first: Acquisition, found: Acquisition) -> None:
+    if found != first:
+        raise SourceError(f"another DAQ, whose frames are {found}, not {first}", "device", "plug in the first one")
 
 
 @cache
 def libusb() -> Any:
-    """Return pyusb's backend on the system's libusb, or on that of libusb-package.
-
-    Raises
-    ------
-    SourceError
-        Neither is installed.
-    """
+    """Return pyusb's backend on the system's libusb, or on that of libusb-package; SourceError without either."""
 
     def find(name: str) -> str | None:
         if "usb-1.0" not in name:

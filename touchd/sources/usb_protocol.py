@@ -127,10 +127,7 @@ def build_info(info: Info) -> bytes:
 def parse_info(data: bytes) -> Info:
     """Read the answer to GET_INFO.
 
-    Raises
-    ------
-    ProtocolFault
-        The bytes are no answer to GET_INFO, of another protocol version, or describe an impossible frame.
+    Raises ProtocolFault if the bytes are none, of another protocol version, or describe an impossible frame.
     """
     if len(data) < INFO_BYTES or data[:4] != _INFO_MAGIC:
         raise ProtocolFault(f"GET_INFO answers {len(data)} bytes that begin with {data[:4].hex() or 'nothing'}")

@@ -64,9 +64,7 @@ class Connection(Protocol):
     def fill(self, buffer: array[int], timeout_ms: int) -> int | None:
         """Read one transfer into the buffer and return its length in bytes; None if nothing came in time.
 
-        Raises
-        ------
-        EndpointHalted, TransferOverflow
+        Raises EndpointHalted or TransferOverflow.
         """
 
     def clear_halt(self) -> None:

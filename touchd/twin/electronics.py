@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.chirp import waveform
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition
 
@@ -182,7 +181,7 @@ def _image(acquisition: Acquisition, level_db: float | None, rms: float, rng: np
     if level_db is None:
         return np.zeros(shape)
     time_s = np.arange(acquisition.samples) / acquisition.sample_rate_hz
-    played = waveform(acquisition.chirp.model_copy(update={"dac_rate_hz": acquisition.sample_rate_hz}))
+    played = acquisition.chirp.model_copy(update={"dac_rate_hz": acquisition.sample_rate_hz}).waveform()
     room = rng.standard_normal(shape) * np.exp(-time_s / 1e-3)
     wave = np.array([np.convolve(played, row)[: shape[1]] for row in room])
     return np.asarray(wave / np.sqrt(np.mean(wave**2)) * rms * 10 ** (level_db / 20))

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchd import chirp
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition, Plate
 from touchd.twin.physics import chebyshev
@@ -172,7 +171,7 @@ class Instrument:
         s = self._node_scale = chebyshev.points(1.0, span, n)
         played = np.ones(1) if self._record.steady else s
         self._emission = np.array(
-            [chirp.spectrum(a.chirp, each * nu) * anti_alias(each * nu, a.sample_rate_hz) for each in played]
+            [a.chirp.spectrum(each * nu) * anti_alias(each * nu, a.sample_rate_hz) for each in played]
         )
         played_to = [self._at(each) for each in s] if self._record.steady else [self.response]
         heard = np.stack([each.untouched() for each in played_to])

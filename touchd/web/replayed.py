@@ -13,7 +13,7 @@ from msgspec.json import encode
 
 from touchd.config.load import load
 from touchd.event import Contact
-from touchd.service.daemon import describer, make_pipeline
+from touchd.service.daemon import feed_description, make_pipeline
 from touchd.service.messages import Messages, all_but_spectra
 from touchd.service.runner import frames_of
 from touchd.sources.open import SourceChoice
@@ -28,7 +28,7 @@ def main(recording: str, folder: str, config: str) -> None:
     settings = load(Path(config) if config else None)
     source = ReplaySource(Path(recording), speed=float("inf"))
     pipeline = make_pipeline(source, settings, notify=lambda _reason, _fields: None)
-    described = describer(source, settings, SourceChoice(replay=Path(recording)), pipeline)()
+    described = feed_description(source, settings, SourceChoice(replay=Path(recording)), pipeline)
     plate = Messages(settings, all_but_spectra).plate(described, pipeline.layout, 0)
     alive: list[Contact] = []
     offsets, counts, first_ns = [0], [], None

@@ -23,10 +23,9 @@ from tests.system.hostile.usage import bounded
 from touchd.errors import RecordingError, TrainingError
 from touchd.evaluation.dataset import labels
 from touchd.evaluation.truth import fingers_only, true_touches
-from touchd.frame import Plate
+from touchd.frame import Frame, Plate
 from touchd.recording.data import Meta
 from touchd.recording.format import read
-from touchd.sources.recorder import Block
 from touchd.sources.replay import ReplaySource
 from touchd.sources.source import EndOfStream
 
@@ -150,16 +149,17 @@ def any_number(draw: st.DrawFn) -> bytes:
 
 
 def play(path: Path) -> None:
-    """Read a recording, play it twice into a block of memory, and take its labels."""
+    """Read a recording, play it twice, and take its labels."""
     recording = read(path)
     source = ReplaySource(path, inf, loop=True, clock=lambda: 10**18)
-    block = Block(2 * len(recording.frames), source.acquisition)
+    frames: list[Frame] = []
     with suppress(EndOfStream):  # a time beyond any has no second lap
-        while block.size < len(block.counts):
+        while len(frames) < 2 * len(recording.frames):
             frame = source.read(0.0)
             assert frame is not None
-            block.append(frame, frame.t_ns)
-    assert block.size >= len(recording.frames)
+            frames.append(frame.copy())
+    assert len(frames) >= len(recording.frames)
+    np.array([(frame.sequence, frame.t_ns) for frame in frames], np.int64)  # raises OverflowError
     true_touches(fingers_only(recording))
     with suppress(TrainingError):
         labels(recording, 1)

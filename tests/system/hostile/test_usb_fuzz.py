@@ -19,8 +19,7 @@ from touchd.errors import DeviceLost
 from touchd.frame import Acquisition
 from touchd.localization.model import Model
 from touchd.sources import usb_stream
-from touchd.sources.daq import Daq, DaqAbsent, Waits
-from touchd.sources.device_search import DeviceSearch, open_first
+from touchd.sources.daq import Daq, DaqAbsent, DeviceSearch, Waits, open_first
 from touchd.sources.usb import candidates, open_usb
 from touchd.sources.usb_protocol import Info, Request, build_info
 from touchd.sources.usb_stream import acquisition_of

@@ -95,7 +95,7 @@ def live(monkeypatch: pytest.MonkeyPatch, source: Flaky) -> None:
         assert choice.simulate == "scene"
         return source
 
-    monkeypatch.setattr("touchd.sources.open.open_source", open_source)
+    monkeypatch.setattr("touchd.cli.record.open_source", open_source)
 
 
 def test_device_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

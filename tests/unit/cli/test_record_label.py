@@ -12,8 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from touchd.calibration.walk import Task
-from touchd.cli import label
-from touchd.cli.record import command
+from touchd.cli import record
 from touchd.errors import DeviceLost, OutputError, SourceError
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording.data import Act, Device, Recording
@@ -63,7 +62,7 @@ class Typist:
 @pytest.fixture
 def types(monkeypatch: pytest.MonkeyPatch) -> Iterator[Typist]:
     reads, writes = os.pipe()
-    monkeypatch.setattr(label, "plan", lambda _plate: TASKS)
+    monkeypatch.setattr(record, "plan", lambda _plate: TASKS)
     with os.fdopen(reads) as terminal, os.fdopen(writes, "wb"):
         monkeypatch.setattr("sys.stdin", terminal)
         yield Typist(writes)
@@ -99,7 +98,7 @@ def test_typed(
 ) -> None:
     """Enter leaves a touch out, r repeats the one before, and nobody has to type."""
     source = Scripted({frame: types(text) for frame, text in typed.items()})
-    label.walk_through(source, tmp_path / "a.npz", META)
+    record.walk_through(source, tmp_path / "a.npz", META)
     assert names(tmp_path / "a.npz") == expected
     taps = len(names(tmp_path / "a.npz")) - 1
     assert f"[{'x' if taps == 3 else ' '}] tap: {taps} of 3" in capsys.readouterr().out
@@ -107,7 +106,7 @@ def test_typed(
 
 def test_repeated(types: Typist, tmp_path: Path) -> None:
     """Of a touch that is repeated the later frames are kept."""
-    label.walk_through(Scripted({500: types("r\n")}), tmp_path / "a.npz", META)
+    record.walk_through(Scripted({500: types("r\n")}), tmp_path / "a.npz", META)
     assert read(tmp_path / "a.npz").sequence[read(tmp_path / "a.npz").meta.acts[1].begin] > 500
 
 
@@ -115,7 +114,7 @@ def test_repeated(types: Typist, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("types")
 def test_signal(tmp_path: Path, number: int) -> None:
     """Ctrl-C in the middle of a tap saves those before it, whole."""
-    label.walk_through(Scripted({660: lambda: signal.raise_signal(number)}), tmp_path / "a.npz", META)
+    record.walk_through(Scripted({660: lambda: signal.raise_signal(number)}), tmp_path / "a.npz", META)
     assert names(tmp_path / "a.npz") == ALL[:2]
     assert os.listdir(tmp_path) == ["a.npz"]
 
@@ -124,7 +123,7 @@ def test_signal(tmp_path: Path, number: int) -> None:
 def test_device_lost(tmp_path: Path) -> None:
     """A device that disappears is reported, and what is complete is saved."""
     with pytest.raises(DeviceLost):
-        label.walk_through(Scripted({660: fail(DeviceLost("gone"))}), tmp_path / "a.npz", META)
+        record.walk_through(Scripted({660: fail(DeviceLost("gone"))}), tmp_path / "a.npz", META)
     assert names(tmp_path / "a.npz") == ALL[:2]
 
 
@@ -132,7 +131,7 @@ def test_device_lost(tmp_path: Path) -> None:
 def test_nothing(tmp_path: Path) -> None:
     """Without a complete act there is an error, and no file."""
     with pytest.raises(SourceError, match="nothing is saved"):
-        label.walk_through(Scripted({20: fail(EndOfStream())}), tmp_path / "a.npz", META)
+        record.walk_through(Scripted({20: fail(EndOfStream())}), tmp_path / "a.npz", META)
     assert os.listdir(tmp_path) == []
 
 
@@ -141,7 +140,7 @@ def test_existing(tmp_path: Path) -> None:
     """A file that exists is refused before the first touch."""
     (tmp_path / "a.npz").write_text("mine")
     with pytest.raises(OutputError):
-        label.walk_through(Scripted({0: fail(AssertionError())}), tmp_path / "a.npz", META)
+        record.walk_through(Scripted({0: fail(AssertionError())}), tmp_path / "a.npz", META)
     assert (tmp_path / "a.npz").read_text() == "mine"
 
 
@@ -150,7 +149,7 @@ def test_existing(tmp_path: Path) -> None:
 )
 def test_one_file(options: tuple[str, ...]) -> None:
     """It writes one file, whose length the touches decide."""
-    assert CliRunner().invoke(command, ["--label", "--simulate", "tap", *options]).exit_code == 2
+    assert CliRunner().invoke(record.command, ["--label", "--simulate", "tap", *options]).exit_code == 2
 
 
 def test_recorded_again(tmp_path: Path) -> None:
@@ -160,5 +159,5 @@ def test_recorded_again(tmp_path: Path) -> None:
     meta = META.model_copy(update={"acts": (Act(name="untouched", begin=0, end=50),)})
     write(tmp_path / "a.npz", Recording(meta, frames, numbers, numbers * 8_000_000))
     again = ["--replay", str(tmp_path / "a.npz"), "--speed", "max", "-o", str(tmp_path / "b.npz"), "--frames", "9"]
-    assert CliRunner().invoke(command, again).exit_code == 0
+    assert CliRunner().invoke(record.command, again).exit_code == 0
     assert read(tmp_path / "b.npz").meta.acts == ()

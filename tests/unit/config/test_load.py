@@ -12,9 +12,10 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from docs import settings as settings_page
 from touchd.config import load as configfile
 from touchd.config.load import Retired, load
-from touchd.config.render import fields, markdown, render, variable
+from touchd.config.render import fields, render, variable
 from touchd.config.schema import RETIRED, DeviceSettings, LogSettings, Settings
 from touchd.errors import ConfigError
 
@@ -267,7 +268,7 @@ class TestRender:
         assert "# A whole number, 1 to 65535. Default: 125\nrate_hz = 125\n" in rendered
 
     def test_the_reference_has_a_line_for_every_key(self) -> None:
-        reference = markdown()
+        reference = settings_page.page()
         for table, key, field in fields():
             section = reference.split(f"\n## `[{table}]`\n")[1].split("\n## ")[0]
             (line,) = (line for line in section.splitlines() if line.startswith(f"- `{key}` ("))

@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 
 from tests.conftest import Scene
 from tests.unit.service.bench import PERIOD_NS, START_NS, TIMEOUT_NS, Clock, Keeper, Script, Step
-from touchd.config.schema import DeviceSettings, HealthSettings, Settings
+from touchd.config.schema import HealthSettings, Settings
 from touchd.errors import DeviceLost
 from touchd.event import Event, HealthEvent, Latency, TouchEvent
 from touchd.frame import Acquisition, Frame
@@ -22,10 +22,8 @@ from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording
 from touchd.service.control import Control
 from touchd.service.frame_feed import FeedDescription, FrameFeed
-from touchd.service.health import Health
 from touchd.service.loop import STALL_NS, Service
-from touchd.service.messages import Messages, wants_of
-from touchd.service.rate import QUIET_NS, ScanRate
+from touchd.service.rate import QUIET_NS
 from touchd.service.realtime import Awake
 from touchd.sources.source import Change, Tally
 
@@ -34,17 +32,16 @@ class Bench:
     """A service with a source of its own and sinks that keep everything."""
 
     def __init__(self, recording: Recording, model: Model, steps: Sequence[Step], period_s: float = 1.0,
-                 awake: Awake | None = None, live: bool = False) -> None:  # fmt: skip
+                 live: bool = False) -> None:  # fmt: skip
         self.clock = Clock()
         self.source = (Live if live else Script)(recording, steps, self.clock)
         self.sink = Keeper(self.clock, self._heard)
         self.other = Keeper(self.clock)
         self.when: Callable[[Event], None] = lambda _event: None
         sinks = [self.sink, self.other]
-        messages = Messages(Settings(), wants_of(sinks))
-        self.pipeline = Pipeline(recording.acquisition, model, Settings())
-        health = Health(self.source, self.pipeline, messages, HealthSettings(period_s=period_s))
-        self.service = Service(self.source, self.pipeline, messages, sinks, health, clock=self.clock, awake=awake)
+        settings = Settings(health=HealthSettings(period_s=period_s))
+        self.pipeline = Pipeline(recording.acquisition, model, settings)
+        self.service = Service(self.source, sinks, settings, self.pipeline, clock=self.clock)
 
     def _heard(self, event: Event) -> None:
         self.when(event)
@@ -194,8 +191,8 @@ def test_awake(make: Callable[..., Bench], circle: list[Frame], tmp_path: Path) 
     """Processors are kept awake while a finger is on the plate, and no longer."""
     device = tmp_path / "cpu_dma_latency"
     device.touch()
-    awake = Awake(1e9 / PERIOD_NS, device)
-    bench = make([*circle, *[None] * 25, *circle[:40]], awake=awake)
+    bench = make([*circle, *[None] * 25, *circle[:40]])
+    awake = bench.service._awake = Awake(1e9 / PERIOD_NS, device)
     told: list[tuple[str, bool]] = []
 
     def note(event: Event) -> None:
@@ -392,14 +389,11 @@ class Scanned:
         steps = [*quiet, *(replace(frame, sequence=idle + i) for i, frame in enumerate(touched))]
         self.source, self.sink = Adjustable(recording, steps, self.clock), Keeper(self.clock)
         self.source.asked, self.source.sink = [], self.sink
-        messages = Messages(Settings(), wants_of([self.sink]))
         self.pipeline = Pipeline(recording.acquisition, model, Settings())
-        health = Health(self.source, self.pipeline, messages, HealthSettings())
         self.control = Commands(self.clock, commands or {})
         self.service = Service(
-            self.source, self.pipeline, messages, [self.sink], health, clock=self.clock, control=self.control,
+            self.source, [self.sink], Settings(), self.pipeline, clock=self.clock, control=self.control,
             feed=Reading(self.clock, round(read_from_s * 1e9), recording.acquisition),
-            rate=ScanRate(self.source, DeviceSettings()),
         )  # fmt: skip
 
 

@@ -16,8 +16,7 @@ from touchd.localization.model import default_model_path
 from touchd.localization.model_file import install, rollback
 from touchd.pipeline import Pipeline, Result
 from touchd.service.daemon import find_model
-from touchd.service.health import Health
-from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.messages import Health, Messages, all_but_spectra
 from touchd.service.models import installed_path, model_path, settings_for
 from touchd.service.reload import Reloader
 from touchd.sources.open import SourceChoice
@@ -42,7 +41,7 @@ class Rig:
         self.pipeline = Pipeline(scene("circle").acquisition, model, settings)
         messages = Messages(settings, all_but_spectra)
         self.health = Health(ReplaySource(file), self.pipeline, messages, settings.health)
-        self.reloader = Reloader(settings, lambda: settings, model, self.pipeline, messages, self.health)
+        self.reloader = Reloader(settings, lambda: settings, self.pipeline, messages, self.health)
 
     def feed(self, count: int = 320) -> list[Result]:
         numbers = range(self.number, self.number + count)

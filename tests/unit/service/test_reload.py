@@ -20,8 +20,7 @@ from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.service import log
-from touchd.service.health import Health
-from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.messages import Health, Messages, all_but_spectra
 from touchd.service.preroll import PreRoll
 from touchd.service.reload import RESTART_ONLY, Reloader, compare
 from touchd.sources.replay import ReplaySource
@@ -153,7 +152,7 @@ def test_early(run: Callable[[str], Run]) -> None:
 # -- reading it again --------------------------------------------------------------------------------
 
 
-def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callable[[str], Path], tmp_path: Path) -> None:
+def test_wrong_file(run: Callable[[str], Run], scene_file: Callable[[str], Path], tmp_path: Path) -> None:
     """A wrong file changes nothing and raises nothing."""
     path = tmp_path / "touchd.toml"
     path.write_text("[health]\nperiod_s = 0.5\n")
@@ -161,7 +160,7 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
     messages = Messages(Settings(), all_but_spectra)
     source = ReplaySource(scene_file("idle"))
     health = Health(source, pipeline, messages, HealthSettings())
-    reloader = Reloader(Settings(), lambda: load(path), model, pipeline, messages, health)
+    reloader = Reloader(Settings(), lambda: load(path), pipeline, messages, health)
     reloader.reload()
     assert health.period_ns == 500_000_000
     good = reloader.settings
@@ -180,11 +179,11 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
 
 def test_part_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """A part that cannot take a value ends nothing: every part gets the old settings again, and the log says so."""
-    pipeline, messages, health = Mock(Pipeline), Mock(Messages), Mock(Health)
+    pipeline, messages, health = Mock(Pipeline, model=None, layout=None), Mock(Messages), Mock(Health)
     health.configure.side_effect = [OverflowError("too large"), None]
     monkeypatch.setattr(log, "configure", configured := Mock())
     old, new = Settings(), settings({"tracker": {"reach_mm": 5.0}, "log": {"level": "error"}})
-    reloader = Reloader(old, lambda: new, None, pipeline, messages, health)
+    reloader = Reloader(old, lambda: new, pipeline, messages, health)
     with capture_logs() as entries:
         reloader.reload()
     assert pipeline.configure.mock_calls == [call(new, None), call(old, None)]
@@ -207,7 +206,7 @@ def test_model_with_a_part_that_fails(
     health = Health(ReplaySource(scene_file("idle")), pipeline, messages, HealthSettings())
     first = settings({"model": {"path": model.path, "atlas": False}})
     preroll = Mock(PreRoll)
-    reloader = Reloader(first, lambda: new, model, pipeline, messages, health, preroll)
+    reloader = Reloader(first, lambda: new, pipeline, messages, health, preroll)
     with monkeypatch.context() as broken:
         broken.setattr(health, "configure", Mock(side_effect=[OverflowError("too large"), None]))
         reloader.reload()

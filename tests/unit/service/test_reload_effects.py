@@ -18,11 +18,9 @@ from touchd.keypad import PHONE
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
-from touchd.service.health import Health
 from touchd.service.loop import Service
-from touchd.service.messages import Messages
 from touchd.service.preroll import PreRoll
-from touchd.service.reload import BRIDGES, RESTART_ONLY, Reloader
+from touchd.service.reload import BRIDGES, RESTART_ONLY
 
 Values = dict[str, dict[str, object]]
 
@@ -127,18 +125,15 @@ def seen(scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Se
         sink.unwanted = lambda topic: topic != "health"
         model = Model(default_model_path(), atlas=first.model.atlas)
         pipeline = Pipeline(recording.acquisition, model, first)
-        messages = Messages(first, sink.wants, wall_offset_ns=0)
-        health = Health(source, pipeline, messages, first.health)
         rate_hz = 1e9 / PERIOD_NS
-        preroll = PreRoll(recording.acquisition, rate_hz, lambda: recording.meta, first.preroll, clock, interval_s=0.0)
+        preroll = PreRoll(rate_hz, lambda: recording.meta, first.preroll, clock, interval_s=0.0)
         for at in case.saves:
             calls.setdefault(at, []).append(lambda: wait_and_ask(preroll))
         read = Settings.model_validate(merged(first.model_dump(exclude_unset=True), case.beside or {}, new))
-        reloader = Reloader(first, lambda: read, model, pipeline, messages, health, preroll)
         service = Service(
-            source, pipeline, messages, [sink], health,
-            clock=clock, control=control, reloader=reloader, preroll=preroll,
-        )  # fmt: skip
+            source, [sink], first, pipeline, clock=clock, control=control, read_settings=lambda: read, preroll=preroll
+        )
+        service._messages._wall_offset_ns = 0
         capsys.readouterr()
         service.run()
         preroll.close()

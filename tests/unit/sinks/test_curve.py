@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+import zmq
 from click.testing import CliRunner
 
 from touchd.cli.keygen import command as keygen
@@ -126,7 +127,7 @@ def test_a_malformed_key_is_none(tmp_path: Path, text: str) -> None:
 
 def test_a_key_file_of_an_earlier_version(tmp_path: Path) -> None:
     """Or of czmq: comments and the order of its parts differ."""
-    pair = curve.new_pair()
+    pair = curve.KeyPair(*zmq.curve_keypair())
     text = f'# CURVE secret key\nmetadata\ncurve\n    secret-key = "{pair.secret.decode()}"\n'
     (tmp_path / "kiosk.key_secret").write_text(f'{text}    public-key = "{pair.public.decode()}"\n')
     (tmp_path / "kiosk.key_secret").chmod(0o600)

@@ -7,7 +7,7 @@ import json
 import os
 
 from touchd.event import KeyEvent, SpectrumEvent, TouchEvent
-from touchd.sinks.jsonl import JsonlSink
+from touchd.sinks.sink import JsonlSink
 
 TOUCH = TouchEvent("plate", 1, 0, "2025-01-01T00:00:00.000000Z", 9, [])
 KEY = KeyEvent("plate", 1, 0, "2025-01-01T00:00:00.000000Z", "7", "press", 0.9)

@@ -23,7 +23,6 @@ from nidaqmx.task.collections import AIChannelCollection, AOChannelCollection
 from nidaqmx.task.triggering import StartTrigger, Triggers
 from numpy.typing import NDArray
 
-from touchd.chirp import waveform
 from touchd.config.rigs import NiSettings
 from touchd.config.schema import DeviceSettings
 from touchd.errors import ConfigError, SourceError
@@ -148,7 +147,7 @@ def test_output(rig: Rig) -> None:
     )
     assert output.out_stream.regen_mode == RegenerationMode.ALLOW_REGENERATION
     (played,) = rig.written
-    np.testing.assert_allclose(played[:500], 5.0 * waveform(ACQUISITION.chirp))
+    np.testing.assert_allclose(played[:500], 5.0 * ACQUISITION.chirp.waveform())
     assert not played[500:].any()
     assert len(played) == 4000
 

@@ -4,64 +4,42 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from touchd.errors import DeviceLost, OutputError
+from touchd.errors import OutputError
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording import format as recording
 from touchd.recording.data import Recording
 from touchd.recording.format import read
 from touchd.sources.recorder import Recorder, describe
-from touchd.sources.source import EndOfStream
 
 ACQUISITION = Acquisition(channels=2, samples=3, sample_rate_hz=250e3)
 META = describe(ACQUISITION, Plate(width_mm=400, height_mm=300), 125.0, source="test", notes="a note")
 
 
-class Counter:
-    """A source of numbered frames, all in the same array, as real sources do it."""
-
-    def __init__(self, numbers: list[int], then: Exception | None = None) -> None:
-        self.acquisition = ACQUISITION
-        self.counts = np.zeros(ACQUISITION.shape, np.int16)
-        self.numbers = list(numbers)
-        self.then = then or EndOfStream()
-        self.closed = 0
-
-    def read(self, timeout_s: float) -> Frame | None:
-        assert timeout_s == 0.5
-        if not self.numbers:
-            raise self.then
-        number = self.numbers.pop(0)
-        if number < 0:
-            return None
-        self.counts[:] = number
+def frames(numbers: Iterable[int]) -> Iterator[Frame]:
+    """Numbered frames, all in the same array, as real sources have them."""
+    counts = np.zeros(ACQUISITION.shape, np.int16)
+    for number in numbers:
+        counts[:] = number
         t_ns = 10**15 + number * 8_000_000
-        return Frame(self.counts, number, t_ns, t_ns + 1)
-
-    def close(self) -> None:
-        self.closed += 1
+        yield Frame(counts, number, t_ns, t_ns + 1)
 
 
-def drain(recorder: Recorder) -> list[int]:
-    passed: list[int] = []
-    while True:
-        try:
-            frame = recorder.read(0.5)
-        except EndOfStream:
-            return passed
-        if frame is not None:
-            passed.append(frame.sequence)
+def keep(recorder: Recorder, numbers: Iterable[int]) -> None:
+    for frame in frames(numbers):
+        recorder.keep(frame)
 
 
 @pytest.mark.parametrize("name", ["a.npz", "folder"])
 def test_what_passes_is_what_is_kept(tmp_path: Path, name: str) -> None:
-    source = Counter([5, 6, -1, 9, 10, 11])
-    recorder = Recorder(source, tmp_path / name, META, chunk_frames=2)
-    assert drain(recorder) == [5, 6, 9, 10, 11]
+    recorder = Recorder(tmp_path / name, META, chunk_frames=2)
+    keep(recorder, [5, 6, 9, 10, 11])
+    recorder.close()
     recorder.close()
     found = read(tmp_path / name)
     assert found.meta == META
@@ -72,8 +50,8 @@ def test_what_passes_is_what_is_kept(tmp_path: Path, name: str) -> None:
 
 
 def test_a_folder_is_private_and_holds_numbered_chunks(tmp_path: Path) -> None:
-    recorder = Recorder(Counter(list(range(5))), tmp_path / "folder", META, chunk_frames=2)
-    drain(recorder)
+    recorder = Recorder(tmp_path / "folder", META, chunk_frames=2)
+    keep(recorder, range(5))
     recorder.close()
     assert sorted(os.listdir(tmp_path / "folder")) == ["000000.npz", "000001.npz", "000002.npz"]
     assert stat.S_IMODE((tmp_path / "folder").stat().st_mode) == 0o700
@@ -81,55 +59,32 @@ def test_a_folder_is_private_and_holds_numbered_chunks(tmp_path: Path) -> None:
 
 
 def test_full_chunks_are_safe_before_the_end(tmp_path: Path) -> None:
-    recorder = Recorder(Counter(list(range(7))), tmp_path / "folder", META, chunk_frames=2)
-    for _ in range(6):
-        recorder.read(0.5)
+    recorder = Recorder(tmp_path / "folder", META, chunk_frames=2)
+    keep(recorder, range(6))
     # No close, as in a power cut: the third chunk may still be in the writer's hands, the first two are not.
     assert read(tmp_path / "folder").sequence.tolist()[:4] == [0, 1, 2, 3]
     recorder.close()
 
 
-def test_closing_closes_the_source_once(tmp_path: Path) -> None:
-    source = Counter([1])
-    recorder = Recorder(source, tmp_path / "a.npz", META)
-    recorder.read(0.5)
-    recorder.close()
-    recorder.close()
-    assert source.closed == 1
-
-
 @pytest.mark.parametrize("name", ["a.npz", "folder"])
 def test_without_frames_nothing_is_left(tmp_path: Path, name: str) -> None:
-    recorder = Recorder(Counter([]), tmp_path / name, META)
-    drain(recorder)
-    recorder.close()
+    Recorder(tmp_path / name, META).close()
     assert os.listdir(tmp_path) == []
 
 
-def test_a_device_that_disappears_takes_nothing_along(tmp_path: Path) -> None:
-    recorder = Recorder(Counter([1, 2], DeviceLost("gone")), tmp_path / "a.npz", META)
-    recorder.read(0.5)
-    recorder.read(0.5)
-    with pytest.raises(DeviceLost):
-        recorder.read(0.5)
-    recorder.close()
-    assert read(tmp_path / "a.npz").sequence.tolist() == [1, 2]
-
-
-def test_frames_that_do_not_go_forward_are_passed_on_but_not_kept(tmp_path: Path) -> None:
-    recorder = Recorder(Counter([1, 2, 2, 1, 3]), tmp_path / "a.npz", META)
-    assert drain(recorder) == [1, 2, 2, 1, 3]
+def test_frames_that_do_not_go_forward_are_not_kept(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.npz", META)
+    keep(recorder, [1, 2, 2, 1, 3])
     recorder.close()
     assert read(tmp_path / "a.npz").sequence.tolist() == [1, 2, 3]
     assert (recorder.dropped, recorder.lost) == (2, 0)
 
 
 def test_a_full_file_says_to_use_a_folder_and_keeps_what_it_has(tmp_path: Path) -> None:
-    recorder = Recorder(Counter(list(range(9))), tmp_path / "a.npz", META, chunk_frames=2, max_file_frames=3)
-    for _ in range(3):
-        recorder.read(0.5)
+    recorder = Recorder(tmp_path / "a.npz", META, chunk_frames=2, max_file_frames=3)
+    keep(recorder, range(3))
     with pytest.raises(OutputError, match="one file holds 3 frames -> record into a folder"):
-        recorder.read(0.5)
+        keep(recorder, [3])
     recorder.close()
     assert read(tmp_path / "a.npz").sequence.tolist() == [0, 1, 2]
 
@@ -143,26 +98,22 @@ def test_a_disk_that_fills_up_is_reported_while_recording(tmp_path: Path, monkey
         write(path, chunk, compress=compress)
 
     monkeypatch.setattr(recording, "write", fill)
-    source = Counter(list(range(9)))
-    recorder = Recorder(source, tmp_path / "folder", META, chunk_frames=2)
+    recorder = Recorder(tmp_path / "folder", META, chunk_frames=2)
     with pytest.raises(OutputError, match=r"000001\.npz.*No space"):
-        drain(recorder)
+        keep(recorder, range(9))
     recorder.close()
-    assert source.closed == 1
     assert read(tmp_path / "folder").sequence.tolist()[:2] == [0, 1]
 
 
-def test_a_failure_to_save_the_rest_still_closes_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_to_save_the_rest_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_path: Path, _recording: Recording, **_options: bool) -> None:
         raise OutputError("cannot be written")
 
     monkeypatch.setattr(recording, "write", fail)
-    source = Counter([1])
-    recorder = Recorder(source, tmp_path / "a.npz", META)
-    recorder.read(0.5)
+    recorder = Recorder(tmp_path / "a.npz", META)
+    keep(recorder, [1])
     with pytest.raises(OutputError):
         recorder.close()
-    assert source.closed == 1
 
 
 @pytest.mark.parametrize("name", ["there.npz", "there", "missing/a.npz", "missing/folder", "nul\0", "x" * 300])
@@ -170,5 +121,5 @@ def test_an_impossible_output_is_refused_before_recording(tmp_path: Path, name: 
     (tmp_path / "there.npz").write_bytes(b"")
     (tmp_path / "there").mkdir()
     with pytest.raises(OutputError):
-        Recorder(Counter([1]), tmp_path / name, META)
+        Recorder(tmp_path / name, META)
     assert sorted(os.listdir(tmp_path)) == ["there", "there.npz"]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchd import chirp
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition, Chirp, Plate
 from touchd.twin import instrument as instrument_module
@@ -127,9 +126,9 @@ def test_the_chirps_spectrum_is_the_sum_of_its_samples() -> None:
     omega = 2 * np.pi * np.array([40e3, 75e3, 99e3]) - 2000j
     step = 1 / 500e3 / 64
     t = (np.arange(500 * 64) + 0.5) * step
-    held = np.repeat(chirp.waveform(description), 64)
+    held = np.repeat(description.waveform(), 64)
     numeric = (held * np.exp(-1j * omega[:, None] * t)).sum(axis=1) * step
-    assert np.abs(chirp.spectrum(description, omega) / numeric - 1).max() < 1e-3
+    assert np.abs(description.spectrum(omega) / numeric - 1).max() < 1e-3
 
 
 def test_no_mirror_image_of_the_layout_is_the_layout(glass: Plate) -> None:

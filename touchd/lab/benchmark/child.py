@@ -103,7 +103,7 @@ def run(
     with realtime.giving_way() if full_speed else nullcontext():
         bus = ZeromqSink(settings.bus)
     meta = describe(source.acquisition, model.description.plate, rate_hz or 125.0, source="benchmark", device=None)
-    preroll = Clocked(source.acquisition, rate_hz or 125.0, lambda: meta, settings.preroll)
+    preroll = Clocked(rate_hz or 125.0, lambda: meta, settings.preroll)
     preroll.start_clock(source.lead + round(seconds * (rate_hz or 200_000)) + 1)
     service = make_service(source, [bus], settings, model, preroll=preroll)
     realtime.freeze()

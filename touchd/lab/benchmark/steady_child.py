@@ -190,7 +190,11 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     source = DaqSource(lambda: iter([lambda: daq]), settings.device, daq.acquisition, lambda _: None)
     bus = ZeromqSink(settings.bus)
     meta = describe(source.acquisition, model.description.plate, settings.device.rate_hz, source="bench", device=None)
-    preroll = Handed(source.acquisition, settings.device.rate_hz, lambda: meta, settings.preroll)
+    kept: tuple[Any, ...] = (settings.device.rate_hz, lambda: meta, settings.preroll)
+    try:
+        preroll = Handed(*kept)
+    except TypeError:  # a tree of before
+        preroll = Handed(source.acquisition, *kept)  # type: ignore[arg-type]
     preroll.done = []
     stages = {stage: [0, 0] for stage in STAGES}
     service = make_service(source, [bus], settings, model, preroll=preroll)
