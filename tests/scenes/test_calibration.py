@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -100,12 +101,16 @@ def touched() -> Instrument:
 
 @pytest.fixture(scope="module")
 def calibrated(fit: PlateFit, touched: Instrument, tmp_path_factory: pytest.TempPathFactory) -> Model:
-    """The model of the same fit, in the counts of the twin's electronics."""
-    idle = simulate_scene("idle", seed=4, instrument=touched, electronics=Electronics(gains=tuple(GAINS)), frames=300)
+    """The model of the same fit."""
+    return model_of(fit, touched, tmp_path_factory.mktemp("calibrated") / "plate.onnx")
+
+
+def model_of(fit: PlateFit, plate: Instrument, path: Path) -> Model:
+    """The model of a fit to a plate, in the counts of the twin's electronics."""
+    idle = simulate_scene("idle", seed=4, instrument=plate, electronics=Electronics(gains=tuple(GAINS)), frames=300)
     mean = idle.frames.mean(axis=0)
     scale = (mean * fit.measured).sum(axis=1, keepdims=True) / np.square(fit.measured).sum(axis=1, keepdims=True)
     scaled = replace(fit, gains=fit.gains * scale, measured=fit.measured * scale, fitted=fit.fitted * scale)
-    path = tmp_path_factory.mktemp("calibrated") / "plate.onnx"
     return make_model(Fitted(idle, untouched_mean(idle, said()), scaled, 0.0), path).model
 
 
@@ -124,6 +129,11 @@ def test_no_frame_alone_is_sure_of_a_place_a_centimetre_off(
     ]
     assert sum(bool(one.found) for one in seen) > 380
     assert max(off_mm) < 10.0
+
+
+def test_errors_within_sigma(calibrated: Model, touched: Instrument) -> None:
+    """Two thirds of a calibrated plate's errors are within their standard errors."""
+    assert 0.55 < within_sigma(calibrated, touched) < 0.85
 
 
 def test_standard_errors(fit: PlateFit) -> None:
@@ -226,9 +236,28 @@ def test_a_plastic_plate() -> None:
     assert fit.loss.factor == pytest.approx(0.03, rel=0.1)
 
 
-def test_a_hole() -> None:
-    """A plate with a hole is not good, and the reason says what to check."""
+def test_a_hole(tmp_path: Path) -> None:
+    """A plate with a hole is not good, the reason says what to check, and standard errors know how wrong places are."""
     hole = missing(TRUE, 0.9, x_mm=50.0, y_mm=30.0, half_x_mm=6.0, half_y_mm=6.0)
     fit = fit_plate(said(), heard(hole))
     assert fit.verdict != "good"
     assert "without holes" in fit.reasons[0]
+    plate = other(hole)
+    model = model_of(fit, plate, tmp_path / "plate.onnx")
+    assert 0.5 < within_sigma(model, plate) < 0.85
+
+
+def within_sigma(model: Model, plate: Instrument) -> float:
+    """Share of the errors of silicone tips, per axis, within the standard errors; less the ruler's scale."""
+    recording = simulate_touches(120, seed=11, instrument=plate, electronics=Electronics(gains=tuple(GAINS)))
+    frames = touched_frames(recording)
+    seen = [one for one in see(find_with(model, model.atlas, frames), frames) if len(one.found) == 1]
+    true, found, sigma_mm = (
+        np.array([getter(one) for one in seen])
+        for getter in (
+            lambda one: one.true_mm[0], lambda one: (one.found[0].x_mm, one.found[0].y_mm),
+            lambda one: (one.found[0].sigma_mm,),
+        )
+    )  # fmt: skip
+    scale = (found * true).sum() / (true**2).sum()
+    return float(np.mean(np.abs(found / scale - true) < sigma_mm))
