@@ -154,8 +154,8 @@ class Pipeline:
         Raises ModelMismatch if it was made for another acquisition.
         """
         self.check(model)
-        self.model, self.layout = model, layout
         self._localizer = make_localizer(model, settings, layout)
+        self.model, self.layout = model, layout
         self.detector.reset()
 
     def reset(self) -> None:

@@ -112,7 +112,7 @@ def make_model(
         orientation = orientation_of(atlas, taps_of(taps, atlas))
         fitted = replace(fitted, fit=turned_fit(fitted.fit, orientation))
         atlas = make_atlas(fitted) if orientation else atlas
-        refined = refine(atlas, taps_of(taps, atlas), orientation, widths_of(fitted.fit))
+        refined = refine(atlas, taps_of(taps, atlas), orientation, widths_of(fitted.fit), progress)
         atlas = refined.atlas
     description = Description(
         name="calibrated", head="regression", domain="frequency", input="residual",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.place_correction import LABELS_MM, Widths, correction_of, with_places
-from touchd.calibration.plate_fit import PlateFit
+from touchd.calibration.plate_fit import PlateFit, Progress
 from touchd.calibration.reduced_plate import Complex, Floats
 from touchd.calibration.tap_fit import fit_taps
 from touchd.calibration.wave_correction import LEAST_LACKING, with_waves
@@ -67,6 +67,8 @@ class Refined:
     """Root mean square of what is added to the taps' places."""
     unexplained: float
     """Share of a tap's energy that the field leaves, median."""
+    lack_stays: float
+    """Share of what the fit's physics lack that stays, by taps left out; 1 if the field stays as it is."""
 
 
 def taps_of(recording: Recording, atlas: Atlas) -> Taps:
@@ -132,7 +134,10 @@ def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     return replace(fit, layout=layout, edges=fit.edges.turned(orientation), undecided=(), reasons=reasons)
 
 
-def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None = None) -> Refined:
+def refine(
+    atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None = None,
+    progress: Progress = lambda _stage, _share: None,
+) -> Refined:  # fmt: skip
     """Correct the field and the places of a rightly turned drawing as far as taps tell both.
 
     Without `widths` both stay.
@@ -147,8 +152,9 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
     used = used[hits(placed.position_mm[used], taps.label_mm[used])]
     values, label_mm = taps.values[used], taps.label_mm[used]
     placed_mm, misfit = placed.position_mm[used], placed.misfit[used]
+    lack_stays = 1.0
     if widths is not None and widths.lacking > LEAST_LACKING:
-        atlas = with_waves(atlas, values, placed_mm, widths.lacking).atlas
+        atlas, lack_stays = with_waves(atlas, values, placed_mm, widths.lacking, progress)
         placed_mm, _, misfit, _ = fit_taps(atlas, values, placed_mm)
     scatter_mm, moved_mm = float(np.sqrt(np.square(placed_mm - label_mm).mean())), 0.0
     if widths is not None:
@@ -158,7 +164,7 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
             atlas, scatter_mm, moved_mm = with_places(atlas, correction), correction.label_mm, added_mm
     return Refined(
         ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), placed_mm, scatter_mm, moved_mm,
-        float(np.median(misfit)),
+        float(np.median(misfit)), lack_stays,
     )  # fmt: skip
 
 

@@ -13,8 +13,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.calibration.physical_atlas import coefficients_of, grid_of
+from touchd.calibration.plate_fit import Progress
 from touchd.calibration.reduced_plate import Complex, Floats
 from touchd.calibration.tap_fit import FittedTaps, fit_taps
 from touchd.localization.atlas import Atlas
@@ -25,12 +27,16 @@ from touchd.training.field.regression import distances
 
 LEAST_LACKING = 5e-3
 """Below this share of the untouched energy that a fit leaves, physics err less than fingertips differ (twin)."""
-MOST_STAYS = 0.8
-"""The correction must explain so much of taps left out that no more than this share of the lack stays."""
+MOST_STAYS = 0.95
+"""Of taps left out no more than this share of the lack stays, or the field does."""
 NO_PRODUCT = 0.3
 """Share of what physics lack that is no product of two waves: the window cuts reverberation off (twin)."""
 FAINT = 1e-3
-"""A tap's amplitude in a bin counts as this share of the taps' at least."""
+"""The power of a tap's amplitude in a bin counts as this share of the taps' at least."""
+MOST_TAPS = 200
+"""Of more, these are enough: the time grows with the third power."""
+ALIKE_RAD = np.pi / 2
+"""Taps as near to each other tell the same wave: they are left out together."""
 ROUNDS = 3
 """Of fitting the taps, and the waves to what they leave."""
 _DRAWN, _PRODUCT_NOISE, _SEED = 500, 1e-4, 0x3A7E5
@@ -45,7 +51,10 @@ class Corrected(NamedTuple):
     """Share of what the physical field lacks that stays, by taps left out."""
 
 
-def with_waves(atlas: Atlas, values: Complex, position_mm: Floats, lacking: float) -> Corrected:
+def with_waves(
+    atlas: Atlas, values: Complex, position_mm: Floats, lacking: float,
+    progress: Progress = lambda _stage, _share: None,
+) -> Corrected:  # fmt: skip
     """Add to a physical atlas the waves that taps tell.
 
     Parameters
@@ -71,8 +80,10 @@ def with_waves(atlas: Atlas, values: Complex, position_mm: Floats, lacking: floa
     wavenumbers = _wavenumbers_per_mm(atlas)
     products = _products(physical, wavenumbers, atlas)
     waves = [product.waves_at(grid_mm) for product in products]
+    values, position_mm = values[:MOST_TAPS], position_mm[:MOST_TAPS]
+    together = _together(position_mm, ALIKE_RAD / float(wavenumbers.mean()))
     corrected, stays = atlas, 1.0
-    for _ in range(ROUNDS):
+    for done in range(ROUNDS):
         fitted = fit_taps(corrected, values, position_mm)
         missing, weight = _beside(corrected, values, fitted, physical)
         position_mm, field = fitted.position_mm, on_grid.copy()
@@ -80,7 +91,9 @@ def with_waves(atlas: Atlas, values: Complex, position_mm: Floats, lacking: floa
         for b, (product, k) in enumerate(zip(products, wavenumbers.tolist(), strict=True)):
             near = _covariance(position_mm, position_mm, k)
             emitter, receivers = product.waves_at(position_mm)
-            sent, received, left_out = _missing_waves(missing[:, :, b], weight[:, b], emitter, receivers, near, lacking)
+            sent, received, left_out = _missing_waves(
+                missing[:, :, b], weight[:, b], emitter, receivers, near, lacking, together
+            )
             far = _covariance(grid_mm, position_mm, k)
             sent, received = far @ sent, far @ received
             field[:, :, b] += waves[b][0][:, None] * received + sent[:, None] * (waves[b][1] + received)
@@ -89,19 +102,23 @@ def with_waves(atlas: Atlas, values: Complex, position_mm: Floats, lacking: floa
         stays = left / max(lack, 1e-30)
         description = d.model_copy(update={"origin_mm": (float(x.nodes_mm[0]), float(y.nodes_mm[0]))})
         corrected = replace(atlas, description=description, coefficients=coefficients_of(field, x, y))
+        progress("taps", (done + 1) / ROUNDS)
     if not stays < MOST_STAYS:
         return Corrected(atlas, 1.0)
-    return Corrected(replace(corrected, error=(stays * atlas.error).astype(np.float32)), stays)
+    lack_of_field = np.minimum(2 * lacking * np.square(np.abs(on_grid)).mean(axis=0), atlas.error)
+    return Corrected(replace(corrected, error=(atlas.error - (1 - stays) * lack_of_field).astype(np.float32)), stays)
 
 
 def _missing_waves(
-    missing: Complex, weight: Floats, emitter: Complex, receivers: Complex, near: Floats, lacking: float
-) -> tuple[Complex, Complex, Complex]:
+    missing: Complex, weight: Floats, emitter: Complex, receivers: Complex, near: Floats, lacking: float,
+    together: list[NDArray[np.intp]],
+) -> tuple[Complex, Complex, Complex]:  # fmt: skip
     """Return the weights of the covariance about n taps that make the missing waves of a bin, and taps left out.
 
     Those of the emitter's wave have the shape (n,), those of the receivers' (n, channels), as has what stays of each
-    tap when all others tell the waves. `missing` is what the taps show beside the field (n, channels), `weight` the
-    power of their amplitudes, `emitter` and `receivers` the physical waves at them, `near` their covariance (n, n).
+    tap when all others tell the waves, but those `together` with it. `missing` is what the taps show beside the field
+    (n, channels), `weight` the power of their amplitudes, `emitter` and `receivers` the physical waves at them, `near`
+    their covariance (n, n).
     """
     count, channels = receivers.shape
     sent = lacking * np.square(np.abs(emitter)).mean()
@@ -116,11 +133,23 @@ def _missing_waves(
     system[np.diag_indices(len(system))] += np.repeat(noise, channels)
     inverse = np.linalg.inv(system)
     solved = (inverse @ missing.reshape(-1)).reshape(count, channels)
-    own = inverse.reshape(count, channels, count, channels)[np.arange(count), :, np.arange(count)]
-    left_out = np.linalg.solve(own, solved[..., None])[..., 0]
+    left_out, by_tap = np.empty_like(solved), inverse.reshape(count, channels, count, channels)
+    for part in together:
+        own = by_tap[part][:, :, part].reshape(len(part) * channels, -1)
+        left_out[part] = np.linalg.solve(own, solved[part].reshape(-1)).reshape(-1, channels)
     of_emitter: Complex = sent * (receivers.conj() * solved).sum(axis=1)
     of_receivers: Complex = received * (emitter.conj()[:, None] * solved)
     return of_emitter, of_receivers, np.asarray(left_out, np.complex128)
+
+
+def _together(position_mm: Floats, reach_mm: float) -> list[NDArray[np.intp]]:
+    """Return the indices of taps in parts, each within `reach_mm` of its first."""
+    parts, left = [], np.arange(len(position_mm))
+    while len(left):
+        near = np.linalg.norm(position_mm[left] - position_mm[left[0]], axis=1) < reach_mm
+        parts.append(left[near])
+        left = left[~near]
+    return parts
 
 
 def _beside(atlas: Atlas, values: Complex, fitted: FittedTaps, physical: FieldMap) -> tuple[Complex, Floats]:

@@ -29,8 +29,10 @@ _STEPS = 100
     "--plate", "plate_file", type=click.Path(path_type=Path), required=True, metavar="PLATE.toml",
     help="What you measured of plate and discs.",
 )  # fmt: skip
-@click.option("--taps", "taps_file", type=click.Path(path_type=Path), metavar="RECORDING",
-              help="Taps at roughly known places, contacts_mm: they tell a mirrored or turned drawing.")  # fmt: skip
+@click.option(
+    "--taps", "taps_file", type=click.Path(path_type=Path), metavar="RECORDING",
+    help="Taps at roughly known places (contacts_mm): they turn the drawing, and correct places and field.",
+)  # fmt: skip
 @click.option("--ni", is_flag=True, help="Without RECORDING: take frames from NI hardware.")
 @click.option("--audio", metavar="DEVICE", help="Without RECORDING: take frames from an audio interface.")
 @click.option("--simulate", metavar="SCENE", help="Without RECORDING: take frames from a scene of the digital twin.")
@@ -107,6 +109,7 @@ def command(
         found["taps"] = {
             "taps": refined.taps, "used": refined.used, "orientation": refined.orientation or "as drawn",
             "scatter_mm": refined.scatter_mm, "moved_mm": refined.moved_mm, "unexplained": refined.unexplained,
+            "lack_stays": refined.lack_stays,
         }  # fmt: skip
     click.echo(json.dumps(found) if as_json or as_lines else _text(found, PAGE))
     if poor:
@@ -159,6 +162,7 @@ def _text(found: dict[str, Any], page: str) -> str:
         lines.append(
             f"{taps['used']} of {taps['taps']} taps fit, and scatter by {taps['scatter_mm']:.1f} mm; the drawing is "
             f"{taps['orientation']}; places are moved by {taps['moved_mm']:.2f} mm"
+            + (f"; {1 - taps['lack_stays']:.0%} of what the fit lacks is mended" if taps["lack_stays"] < 1 else "")
         )
     if found["model"]:
         lines.append(f"{found['model']}: the model, with its atlas beside it")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from touchd.calibration.check import Checked, check_model
+if TYPE_CHECKING:
+    from touchd.calibration.check import Checked
 
 
 @click.command()
@@ -21,6 +23,8 @@ def command(model: Path, recording: Path, as_json: bool) -> None:
     Nobody needs to know where they were. Says whether the plate should be calibrated again, and why. RECORDING begins
     untouched.
     """
+    from touchd.calibration.check import check_model
+
     checked = check_model(model, recording)
     click.echo(json.dumps(asdict(checked)) if as_json else _text(checked))
 

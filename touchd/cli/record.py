@@ -7,7 +7,7 @@ import select
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -99,7 +99,8 @@ def command(
         recorder = Recorder(output, meta, chunk_frames=chunk_frames)
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
         try:
-            _record(source, recorder, frames, seconds)
+            with closing(source):  # the device is free while the file is written
+                _record(source, recorder, frames, seconds)
         finally:  # save the frames that arrived before a failure, too
             recorder.close()
             if recorder.frames:
@@ -155,9 +156,9 @@ def until(stop: Event, source: Source) -> Iterator[Frame | None]:
         click.echo(f"device {change.state}: {change.reason}", err=True)
 
     for frame in frames_of(source, _TIMEOUT_S, on_change=report):
+        yield frame
         if stop.is_set():
             return
-        yield frame
 
 
 def walk_through(source: Source, output: Path, meta: Meta) -> None:

@@ -57,8 +57,17 @@ def test_elsewhere(atlas: Atlas, heavy: Instrument, corrected: Corrected) -> Non
 
 
 def test_error(atlas: Atlas, corrected: Corrected) -> None:
-    """Standard errors fall with what stays: the atlas expects as much less of the field."""
-    np.testing.assert_allclose(corrected.atlas.error, corrected.stays * atlas.error, rtol=1e-6)
+    """Standard errors fall with what stays, and no further."""
+    assert (corrected.atlas.error < atlas.error).all()
+    assert (corrected.atlas.error >= (1 - 1e-6) * corrected.stays * atlas.error).all()
+
+
+@pytest.mark.parametrize(("places", "repeats"), [(1, 8), (3, 4)])
+def test_repeats(atlas: Atlas, heavy: Instrument, lacking: float, places: int, repeats: int) -> None:
+    """Taps at a place tell nothing of each other: repeated, a few places change nothing."""
+    taps = drawn(heavy, atlas, places, 6)
+    values = np.concatenate([scale * taps.values for scale in np.linspace(0.8, 1.2, repeats)])
+    assert with_waves(atlas, values, np.tile(taps.label_mm, (repeats, 1)), lacking).atlas is atlas
 
 
 def test_right_field(atlas: Atlas, instrument: Instrument) -> None:

@@ -206,7 +206,8 @@ def _errors(state: State, atlas: Atlas) -> ErrorMap | None:
     if not widths:
         return None
     frames = read(state.model.with_suffix(".untouched.npz")).frames
-    return ErrorMap(atlas, np.sqrt(frames.var(axis=0, ddof=1, dtype=np.float64).mean()), Widths(**widths))
+    known = Widths(**{name: value for name, value in widths.items() if name in Widths._fields})  # of any version
+    return ErrorMap(atlas, np.sqrt(frames.var(axis=0, ddof=1, dtype=np.float64).mean()), known)
 
 
 def _tell(state: State, atlas: Atlas, errors: ErrorMap | None) -> None:

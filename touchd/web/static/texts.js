@@ -101,7 +101,7 @@ export const texts = {
     fit: {
       hint: 'Finds the plate and the discs that sound like yours. It goes on when this page is closed.',
       running: what => `Fitting ${what} …`, again: 'Fit again',
-      stages: { fit: 'plate and discs', candidates: 'other plates and wires', field: 'the touch’s field' },
+      stages: { fit: 'plate and discs', candidates: 'other plates and wires', field: 'the touch’s field', taps: 'what the taps tell' },
     },
     verdict: {
       words: { good: 'Good', usable: 'Usable', poor: 'Poor' },
