@@ -43,9 +43,10 @@ _LIBRARY.snd_lib_error_set_handler(_LIBRARY.labs)
 
 
 class AlsaCard:
-    """An open ALSA card with at least so many `inputs`; `name` is as `arecord -L` lists it: `hw:CARD=...`.
+    """An open ALSA card with at least so many `inputs`.
 
-    Raises CardAbsent if there is no such card, another program uses it, or it lacks rate or inputs.
+    `name` is as `arecord -L` lists it: `hw:CARD=...` does not resample. Raises CardAbsent if there is no such card,
+    another program uses it, or it lacks rate or inputs.
     """
 
     def __init__(self, name: str, rate_hz: int, inputs: int) -> None:

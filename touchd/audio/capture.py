@@ -1,8 +1,8 @@
-"""What was captured: cut into frames, filtered, and watched. Samples are counted from the start on.
+"""What was captured: cut into frames at rates that whole chirps fill, filtered, and watched.
 
-The filter removes what lies far below the chirp's band, as an audio interface passes mains hum and the thump of a
-finger, too. The response to the chirp tells whether a card has its sample rate in name alone, and whether a disc is
-lost.
+Samples are counted from the start on. The filter removes what lies far below the chirp's band, as an audio interface
+passes mains hum and the thump of a finger, too. The response to the chirp tells whether a card has its sample rate in
+name alone, and whether a disc is lost.
 """
 
 from __future__ import annotations

@@ -208,13 +208,11 @@ def draw(field: PhysicalField, size_mm: Floats) -> tuple[Floats, Complex]:
 def calibrated(plain: Atlas, fit: PlateFit, position_mm: Floats, values: Complex, noise_counts: float) -> Atlas:
     """Return the atlas with the field's error, and with scales so that 68 % of the errors are within sigma.
 
-    What the fit leaves of the untouched response it leaves of a wave; the field is a product of two. That error is
-    alike in many bins, as is that of an unusual touch.
+    What physics lack is alike in many bins, as is the error of an unusual touch.
     """
     placed = place(plain, values, position_mm)
-    predicted = FieldMap(plain).look_up(placed.position_mm)[0].reshape(values.shape)
-    excess = max(fit.unexplained - fit.noise_share, 0.0)
-    lacking = 2 * excess * np.square(np.abs(predicted)).mean(axis=0)
+    predicted = FieldMap(plain).at(placed.position_mm)
+    lacking = lack_of_physics(predicted, fit.lacking)
     error = field_error(values, predicted, placed.amplitude, 0.0)
     noise_scale, drawn_scale = calibrate(
         noisy_levels(plain, fit, position_mm, values, noise_counts), float(error.mean())
@@ -223,6 +221,14 @@ def calibrated(plain: Atlas, fit: PlateFit, position_mm: Floats, values: Complex
     field_scale = float(np.average((drawn_scale, UNUSUAL), weights=(error.mean(), lacking.mean())))
     description = plain.description.model_copy(update={"noise_scale": noise_scale, "field_scale": field_scale})
     return Atlas(description, plain.coefficients, plain.baseline, (error + lacking).astype(np.float32))
+
+
+def lack_of_physics(field: Complex, lacking: float) -> Floats:
+    """Return the mean square of what a field (n, R, bins) misses, shape (R, bins), of a fit with this `lacking`.
+
+    What the fit leaves of the untouched response it leaves of a wave; the field is a product of two.
+    """
+    return np.asarray(2 * lacking * np.square(np.abs(field)).mean(axis=0))
 
 
 def noisy_levels(atlas: Atlas, fit: PlateFit, position_mm: Floats, values: Complex, noise_counts: float) -> list[Level]:

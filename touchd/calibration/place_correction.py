@@ -65,14 +65,13 @@ class PlaceCorrection(NamedTuple):
 
 def widths_of(fit: PlateFit) -> Widths:
     """Return how far the places of a fit may be off."""
-    left = max(fit.unexplained - fit.noise_share, 0.0)
-    varying_mm = MODEL * wavelength_mm(fit.plate, fit.acquisition.chirp) * float(np.sqrt(left))
+    varying_mm = MODEL * wavelength_mm(fit.plate, fit.acquisition.chirp) * float(np.sqrt(fit.lacking))
     common_mm = COMMON * varying_mm
     clamped = [side for side, kind in fit.edges.kinds.items() if kind == "clamped"]
     if clamped:
         common_mm = float(np.hypot(common_mm, BESIDE * CLAMPED_MM))
     x_mm, y_mm = (CLAMPED_MM if {*sides} & {*clamped} else common_mm for sides in (SIDES[:2], SIDES[2:]))
-    return Widths((x_mm, y_mm), fit.scale_error, common_mm, left)
+    return Widths((x_mm, y_mm), fit.scale_error, common_mm, fit.lacking)
 
 
 def correction_of(placed_mm: Floats, label_mm: Floats, size_mm: tuple[float, float], widths: Widths) -> PlaceCorrection:
@@ -157,9 +156,7 @@ def with_places(atlas: Atlas, correction: PlaceCorrection) -> Atlas:
     before = places.copy()
     for _ in range(_INVERTED):
         before = places - correction.at(before)
-    field = FieldMap(atlas)
-    values = np.concatenate([field.look_up(part)[0] for part in np.array_split(before, max(1, len(before) // 512))])
-    values = values.reshape(len(values), d.acquisition.channels, -1)
+    values = FieldMap(atlas).at(before)
     description = d.model_copy(update={
         "plate": d.plate.model_copy(update={"width_mm": float(size[0]), "height_mm": float(size[1])}),
         "origin_mm": (float(x.nodes_mm[0]), float(y.nodes_mm[0])),

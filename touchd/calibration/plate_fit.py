@@ -107,6 +107,11 @@ class PlateFit(Judgement):
     edges: Edges
     """What holds the sides."""
 
+    @property
+    def lacking(self) -> float:
+        """Share of the untouched energy that the fit leaves beside noise: what its physics lack."""
+        return max(self.unexplained - self.noise_share, 0.0)
+
     def response(self, nu_rad_s: Complex) -> Response:
         """Return the fitted plate's response at complex angular frequencies (F,)."""
         modes = self.basis.loaded(self.plate, self.layout)
@@ -123,7 +128,7 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
             "no channel hears the chirp", "recording", "check the emitter's cable and amplifier, and record again"
         )
     fit, state = _fit(said, recording_mean, lambda share: progress("fit", share))
-    left, others = fit.unexplained - fit.noise_share, list[Candidate]()
+    left, others = fit.lacking, list[Candidate]()
     if left > USABLE_LEFT:
         others = candidates(said, recording_mean)
     elif left > GOOD_LEFT:

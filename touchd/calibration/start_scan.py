@@ -46,7 +46,7 @@ def _constants(atlas: Atlas) -> dict[str, NDArray[np.generic]]:
     position_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     every = -(-len(d.bins) // MOST_BINS) if d.acquisition.is_whole_period else EVERY_BIN
     channels, chosen = d.acquisition.channels, np.arange(0, len(d.bins), every)
-    field = FieldMap(atlas).look_up(position_mm)[0].reshape(len(position_mm), channels, -1)[..., chosen]
+    field = FieldMap(atlas).at(position_mm)[..., chosen]
     field = field.reshape(len(position_mm), -1)
     unit = np.concatenate([field.real, field.imag], axis=1).T
     unit /= np.maximum(np.linalg.norm(unit, axis=0), 1e-30)

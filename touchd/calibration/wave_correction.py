@@ -8,14 +8,13 @@ the physical field; they are placed again on the corrected one. Taps left out sa
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.physical_atlas import coefficients_of, grid_of
+from touchd.calibration.physical_atlas import coefficients_of, grid_of, lack_of_physics
 from touchd.calibration.plate_fit import Progress
 from touchd.calibration.reduced_plate import Complex, Floats
 from touchd.calibration.tap_fit import FittedTaps, fit_taps
@@ -40,7 +39,6 @@ ALIKE_RAD = np.pi / 2
 ROUNDS = 3
 """Of fitting the taps, and the waves to what they leave."""
 _DRAWN, _PRODUCT_NOISE, _SEED = 500, 1e-4, 0x3A7E5
-_BLOCK = 512
 
 
 class Corrected(NamedTuple):
@@ -76,7 +74,7 @@ def with_waves(
     x, y = (grid_of(side, d.step_mm) for side in d.plate.size_mm)
     grid_mm = np.stack(np.meshgrid(x.samples_mm, y.samples_mm), axis=-1).reshape(-1, 2)
     physical = FieldMap(atlas)
-    on_grid = _in_blocks(lambda part: _field(physical, part, atlas), grid_mm)
+    on_grid = physical.at(grid_mm)
     wavenumbers = _wavenumbers_per_mm(atlas)
     products = _products(physical, wavenumbers, atlas)
     waves = [product.waves_at(grid_mm) for product in products]
@@ -105,8 +103,8 @@ def with_waves(
         progress("taps", (done + 1) / ROUNDS)
     if not stays < MOST_STAYS:
         return Corrected(atlas, 1.0)
-    lack_of_field = np.minimum(2 * lacking * np.square(np.abs(on_grid)).mean(axis=0), atlas.error)
-    return Corrected(replace(corrected, error=(atlas.error - (1 - stays) * lack_of_field).astype(np.float32)), stays)
+    mended = (1 - stays) * np.minimum(lack_of_physics(on_grid, lacking), atlas.error)
+    return Corrected(replace(corrected, error=(atlas.error - mended).astype(np.float32)), stays)
 
 
 def _missing_waves(
@@ -157,10 +155,10 @@ def _beside(atlas: Atlas, values: Complex, fitted: FittedTaps, physical: FieldMa
 
     The shapes are (n, channels, bins) and (n, bins).
     """
-    field = _field(FieldMap(atlas), fitted.position_mm, atlas)
+    field = FieldMap(atlas).at(fitted.position_mm)
     # Of a contact of any size: its part over the field, on average over the channels.
     amplitude = (field.conj() * (values - fitted.left)).sum(axis=1) / np.square(np.abs(field)).sum(axis=1)
-    missing = fitted.left / amplitude[:, None] + field - _field(physical, fitted.position_mm, atlas)
+    missing = fitted.left / amplitude[:, None] + field - physical.at(fitted.position_mm)
     return missing, np.square(np.abs(amplitude))
 
 
@@ -168,7 +166,7 @@ def _products(field: FieldMap, wavenumbers_per_mm: Floats, atlas: Atlas) -> list
     """Return the two waves of each bin of a field, fitted all over the plate."""
     rng = np.random.default_rng(_SEED)
     places = rng.uniform(atlas.description.low_mm, atlas.description.high_mm, (_DRAWN, 2))
-    values, one = _field(field, places, atlas).astype(np.complex64), np.ones(_DRAWN, np.complex64)
+    values, one = field.at(places).astype(np.complex64), np.ones(_DRAWN, np.complex64)
     return [
         product_of(basis_of(places, k), part, one, _PRODUCT_NOISE * float(np.square(np.abs(part)).mean()))
         for k, part in zip(wavenumbers_per_mm.tolist(), np.moveaxis(values, 2, 0), strict=True)
@@ -183,13 +181,3 @@ def _wavenumbers_per_mm(atlas: Atlas) -> Floats:
     d = atlas.description
     of_band = dict(zip(band_bins(d.acquisition).tolist(), d.wavenumber_rad_m, strict=True))
     return 1e-3 * np.array([of_band[b] for b in d.bins])
-
-
-def _field(field: FieldMap, position_mm: Floats, atlas: Atlas) -> Complex:
-    """Return the field at positions (n, 2), shape (n, channels, bins)."""
-    values = field.look_up(position_mm)[0]
-    return values.reshape(len(values), atlas.description.acquisition.channels, -1)
-
-
-def _in_blocks(at: Callable[[Floats], Complex], position_mm: Floats) -> Complex:
-    return np.concatenate([at(part) for part in np.array_split(position_mm, max(1, len(position_mm) // _BLOCK))])

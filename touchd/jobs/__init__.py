@@ -132,7 +132,7 @@ def _on_dask(tasks: Sequence[Task], shared: Mapping[str, bytes], where: str | in
         try:
             asyncio.run(work())
             ended.put(None)
-        except BaseException as error:
+        except BaseException as error:  # raised where it is awaited
             ended.put(error)
 
     thread = threading.Thread(target=drive, name="touchd-dask", daemon=True)

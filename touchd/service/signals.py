@@ -1,4 +1,4 @@
-"""SIGTERM and SIGINT stop a daemon, SIGHUP reloads its configuration, SIGUSR1 saves its pre-roll."""
+"""SIGTERM and SIGINT stop a daemon or a verb, SIGHUP reloads a configuration, SIGUSR1 saves a pre-roll."""
 
 from __future__ import annotations
 

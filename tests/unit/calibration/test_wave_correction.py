@@ -78,6 +78,6 @@ def test_right_field(atlas: Atlas, instrument: Instrument) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.9 * LEAST_LACKING])
 def test_good_fit(atlas: Atlas, heavy: Instrument, share: float) -> None:
-    """Of a fit that leaves little the field stays, whatever the taps show."""
+    """The field of a fit that leaves little stays as it is."""
     taps = drawn(heavy, atlas, 20, 7)
     assert refine(atlas, taps, 0, Widths((0.0, 0.0), 0.0, 0.0, share)).atlas is atlas

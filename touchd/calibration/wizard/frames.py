@@ -221,7 +221,7 @@ def take_crosses(
 ) -> list[Touched]:
     """Take a touch at each cross; `due` is called with the next one, for the page.
 
-    While the daemon has said nothing for `silent_s` its `at` is None.
+    Its `at` is None when the daemon has been silent for `silent_s`.
 
     Raises Stopped if `stop` was set; CalibrationError if the plate is a keypad.
     """

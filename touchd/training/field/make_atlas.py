@@ -51,7 +51,7 @@ def make_atlas(
     values = np.ascontiguousarray(touches.values[:, :, kept])
     placed = place(plain, values, true_mm)
     near = np.linalg.norm(placed.position_mm - true_mm, axis=1) < FAR_MM
-    predicted = FieldMap(plain).look_up(placed.position_mm[near])[0].reshape(values[near].shape)
+    predicted = FieldMap(plain).at(placed.position_mm[near])
     error = field_error(values[near], predicted, placed.amplitude[near], touches.noise)
     levels = noisy_levels(plain, steady, values, true_mm, learned.label_noise_mm)
     mean = float(error.mean())

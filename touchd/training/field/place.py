@@ -88,7 +88,13 @@ class FieldMap:
             for start_mm, count in zip(d.origin_mm, (columns, rows), strict=True)
         )
         self._spline = NdBSpline((y_mm, x_mm), nodes.reshape(rows, columns, -1), 3)
+        self._channels = nodes.shape[2]
         self.low_mm, self.high_mm = np.array(d.low_mm) - BEYOND_MM, np.array(d.high_mm) + BEYOND_MM
+
+    def at(self, position_mm: Floats) -> Complex:
+        """Return the field at positions (n, 2), shape (n, channels, bins)."""
+        values = self._spline(np.ascontiguousarray(position_mm[:, ::-1]))
+        return np.asarray(values.reshape(len(position_mm), self._channels, -1))
 
     def look_up(self, position_mm: Floats) -> tuple[Complex, Complex, Complex]:
         """Return the field at positions (n, 2) and its derivatives (1/mm), each of shape (n, channels * bins).
