@@ -71,7 +71,7 @@ def with_waves(
         The same atlas, of which all stays, where the waves explain too little of taps left out.
     """
     d = atlas.description
-    x, y = (grid_of(side, d.step_mm) for side in d.plate.size_mm)
+    x, y = (grid_of(side, d.step_mm) for side in d.plate.size_mm)  # as the atlas was made
     grid_mm = np.stack(np.meshgrid(x.samples_mm, y.samples_mm), axis=-1).reshape(-1, 2)
     physical = FieldMap(atlas)
     on_grid = physical.at(grid_mm)
@@ -98,8 +98,7 @@ def with_waves(
             lack += float(weight[:, b] @ np.square(np.abs(missing[:, :, b])).sum(axis=1))
             left += float(weight[:, b] @ np.square(np.abs(left_out)).sum(axis=1))
         stays = left / max(lack, 1e-30)
-        description = d.model_copy(update={"origin_mm": (float(x.nodes_mm[0]), float(y.nodes_mm[0]))})
-        corrected = replace(atlas, description=description, coefficients=coefficients_of(field, x, y))
+        corrected = replace(atlas, coefficients=coefficients_of(field, x, y))
         progress("taps", (done + 1) / ROUNDS)
     if not stays < MOST_STAYS:
         return Corrected(atlas, 1.0)

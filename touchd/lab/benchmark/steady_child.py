@@ -194,7 +194,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     try:
         preroll = Handed(*kept)
     except TypeError:  # a tree of before
-        preroll = Handed(source.acquisition, *kept)  # type: ignore[arg-type]  # its parameters
+        preroll = Handed(source.acquisition, *kept)  # type: ignore[arg-type]  # its pre-roll took the geometry first
     preroll.done = []
     stages = {stage: [0, 0] for stage in STAGES}
     service = make_service(source, [bus], settings, model, preroll=preroll)
