@@ -8,7 +8,7 @@ import numpy as np
 
 from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.frame import ACQUISITIONS, Plate
-from touchd.lab.plates.other_plate import Patch, missing, other_modes
+from touchd.lab.plates.other_plate import Patch, disc_patches, missing, other_modes
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.material import ElasticPlate, Material
@@ -23,8 +23,8 @@ GLASS, ACRYLIC, ALUMINIUM = (
 ACRYLIC_SAID = (("material", None), ("young_gpa", 3.3), ("poisson", 0.34), ("density_kg_m3", 1190.0))
 GAINS = (1.1, -0.8, 0.95, 0.7)
 """Gain of each channel; the second disc is inverted."""
-_BEADS = 7
-"""Seed of the beads of solder: all plates have the same."""
+_JOINTS = 7
+"""Seed of the discs' joints: all plates have the same."""
 
 
 class Case(NamedTuple):
@@ -98,7 +98,7 @@ def make(name: str, seed: int = 0) -> Made:
     )  # fmt: skip
     layout = default_layout(Plate(width_mm=width, height_mm=height))
     acquisition = ACQUISITIONS[case.acquisition]
-    modes = other_modes(plate, layout, [*_beads(layout), *_flaws(case, plate)], acquisition.chirp.band_hz[1])
+    modes = other_modes(plate, layout, [*_joints(layout), *_flaws(case, plate)], acquisition.chirp.band_hz[1])
     attachments = case.mounting.on(plate)
     if attachments:
         modes = attach(modes, plate, attachments, case.loss, 75e3)
@@ -123,17 +123,23 @@ def make(name: str, seed: int = 0) -> Made:
     return Made(instrument, check_plate_file(content), Electronics(noise_db=case.noise_db, gains=GAINS))
 
 
-def _beads(layout: Layout) -> list[Patch]:
-    """Return a bead of solder and glue, 0.03 to 0.07 g, where each disc's cable leaves.
+def _joints(layout: Layout) -> list[Patch]:
+    """Return what differs from disc to disc: solder, glue, and how stiff the bond is.
 
-    A fit knows where each disc's mass is, and one mass for all: each has another, outside its rim.
+    A bead of 0.03 to 0.07 g where the cable leaves, outside the rim; a joint of 0.01 to 0.025 g on the face; and up to
+    40 % more or less of the bond's stiffness. A fit knows a bead and a stiffness of each disc, but no second joint.
     """
-    rng = np.random.default_rng(_BEADS)
+    rng = np.random.default_rng(_JOINTS)
     angles, kg_m2 = rng.uniform(0, 2 * np.pi, 5), rng.uniform(4.2, 9.9, 5)
-    places = layout.centres_mm + 5.1 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    return [
-        Patch(float(x), float(y), 1.5, 1.5, mass_kg_m2=float(mass)) for (x, y), mass in zip(places, kg_m2, strict=True)
-    ]
+    on_face, face_kg_m2, bonds = rng.uniform(0, 2 * np.pi, 5), rng.uniform(3.2, 8.0, 5), rng.uniform(-0.4, 0.4, 5)
+    found = []
+    for angle, at_mm, half_mm, masses in ((angles, 5.1, 1.5, kg_m2), (on_face, 2.0, 1.0, face_kg_m2)):
+        places = layout.centres_mm + at_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        found += [Patch(float(x), float(y), half_mm, half_mm, mass_kg_m2=float(mass))
+                  for (x, y), mass in zip(places, masses, strict=True)]  # fmt: skip
+    for disc, change in zip(disc_patches(layout), bonds, strict=True):
+        found.append(disc._replace(mass_kg_m2=0.0, rotary_kg=0.0, bending_n_m=float(change) * disc.bending_n_m))
+    return found
 
 
 def _flaws(case: Case, plate: Plate) -> list[Patch]:
