@@ -81,7 +81,16 @@ def test_a_free_plate(fit: PlateFit) -> None:
     assert np.sqrt(np.mean(OFF_MM**2)) > 0.35
     assert places_off_mm(fit) < 0.06
     assert fit.verdict == "good"
-    assert fit.unexplained < 2e-3
+    assert fit.unexplained < 3e-4
+
+
+def test_a_bead_beside_each_disc(fit: PlateFit) -> None:
+    """Solder where the cable leaves is found: 28 mg, 5 mm to the right of each disc."""
+    found = {parameter.name: parameter for parameter in fit.parameters}
+    for disc in ("emitter", *(f"receiver {k}" for k in range(1, 5))):
+        x, y, mass = (found[f"disc bead{axis}, {disc}"].fitted for axis in (" x", " y", ""))
+        assert math.dist((x, y), (5.0, 0.0)) < 3.5, disc
+        assert mass == pytest.approx(0.028, abs=0.015), disc
 
 
 def test_a_touch_has_its_size(fit: PlateFit) -> None:

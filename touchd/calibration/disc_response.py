@@ -1,11 +1,11 @@
 """Response between the discs of a plate, and its derivatives by everything that a fit may change.
 
-A disc is eight means over it: the outward rotation around its rim, by which it drives and senses, and the two other
-rotations around it, which its bending stiffness resists; the deflection and its two slopes, which carry its mass, and
-the plate's two rotations, which move it in the plane, as it lies below the plate's middle. With the receptances G
-between these vectors on the free plate, the loaded plate follows from Woodbury's identity with a matrix of eight times
-the number of discs at each frequency, so that no disc needs an eigenproblem of its own. What holds an edge is more such
-vectors: `loads`.
+A disc is nine means over it: the outward rotation around its rim, by which it drives and senses, and the two other
+rotations around it, which its bending stiffness resists; the deflection and its two slopes, which carry its mass; the
+plate's two rotations, which move it in the plane, as it lies below the plate's middle; and the deflection under the
+bead of solder and glue where its cable leaves. With the receptances G between these vectors on the free plate, the
+loaded plate follows from Woodbury's identity with a matrix of nine times the number of discs at each frequency, so that
+no disc needs an eigenproblem of its own. What holds an edge is more such vectors: `loads`.
 """
 
 from __future__ import annotations
@@ -44,15 +44,17 @@ class DiscResponse:
         spring, inert = shape.speed2 / volume * stiff[:, None], -(nu_rad_s[:, None] ** 2) / volume
         # Loads of the discs' vectors per mass of the plate, by what they are proportional to, shape (F, MEANS D).
         other, lever2, spread = OTHER_BENDING, discs.lever2_m2, discs.spread
-        self._per_stiffness = spring * np.repeat([1, other, other, 0, 0, 0, 0, 0], D)
-        self._per_mass = inert * np.repeat([0, 0, 0, 1, lever2, lever2, spread, spread], D)
+        self._per_stiffness = spring * np.repeat([1, other, other, 0, 0, 0, 0, 0, 0], D)
+        self._per_mass = inert * np.repeat([0, 0, 0, 1, lever2, lever2, spread, spread, 0], D)
+        self._inert = inert
         heavy, lifted = discs.mass_kg_m3 * inert, lever2 > 0
-        rolls, tilts = np.repeat([0, 0, 0, 0, 1, 1, 0, 0], D), np.repeat([0, 0, 0, 0, 0, 0, 1, 1], D)
+        rolls, tilts = np.repeat([0, 0, 0, 0, 1, 1, 0, 0, 0], D), np.repeat([0, 0, 0, 0, 0, 0, 1, 1, 0], D)
         self._per_gyration2 = heavy * rolls if lifted else heavy / discs.face_m2 * tilts
         # A wider disc of the same gyration rolls less, and its slopes are means over a wider face.
         self._by_face = self._per_gyration2 * (1.0 if lifted else discs.spread)
-        self._stiff_load = discs.stiffness_m3 * self._per_stiffness
+        self._stiff_load = np.tile(discs.stiffness_m3, MEANS) * self._per_stiffness
         self._disc_load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
+        self._disc_load[:, -D:] = discs.beads_kg_m3 * inert
         self._load = self._disc_load  # (F, V)
         self._per_edge: dict[str, Complex] = {}
         if lines:
@@ -80,13 +82,13 @@ class DiscResponse:
         """Return the derivatives (R, F) by the named parameters.
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
-        `gyration2`, `radius`, `x0`, `y0`, `x1` .. of the discs' centres, `mx0` .. of their masses' offsets, in SI
-        units; and those of `Edges.values`.
+        `gyration2`, `radius`; of single discs `x0`, `y0`, `x1` .. of the centres, `stiffness 0` .. and, of the beads,
+        `bead x0` .. and `bead mass 0` .., all in SI units; and those of `Edges.values`.
         """
         found: dict[str, Complex] = {}
         d, D = self._discs, len(self._discs.centres_m)
-        for what, axis in product(("centres_m", "offset_m"), (0, 1)):
-            prefix = ("m" if what == "offset_m" else "") + "xy"[axis]
+        for what, axis in product(("centres_m", "beads_m"), (0, 1)):
+            prefix = ("bead " if what == "beads_m" else "") + "xy"[axis]
             wanted = [k for k in range(D) if f"{prefix}{k}" in names]
             if not wanted:
                 continue
@@ -100,6 +102,11 @@ class DiscResponse:
             found["radius"] = self._by_vectors(across) + d.radius_m / 2 * self._weighed(self._by_face)
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
+        for k in range(D):
+            if f"bead mass {k}" in names:
+                found[f"bead mass {k}"] = -self._weighed(self._inert, (MEANS - 1) * D + k)
+            if f"stiffness {k}" in names:
+                found[f"stiffness {k}"] = -self._weighed(self._per_stiffness * np.tile(np.arange(D) == k, MEANS))
         found |= {name: -self._weighed(load, MEANS * D) for name, load in self._per_edge.items() if name in names}
         if names & {"loss", "slope", *SHAPE_NAMES}:
             found.update(self._by_plate(names))

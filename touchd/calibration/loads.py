@@ -42,12 +42,14 @@ class Discs(NamedTuple):
     radius_m: float
     mass_kg_m3: float
     """Mass of each over the plate's density, m^3."""
-    stiffness_m3: float
-    """Resistance of each to the rotation around its rim, over the plate's Young's modulus, m^3."""
+    stiffness_m3: Floats
+    """Resistance of each to the rotation around its rim, over the plate's Young's modulus, m^3, shape (D,)."""
     gyration2_m2: float
     """Square of its radius of gyration about a line in the plate's middle, m^2: what rolls as the plate tilts."""
-    offset_m: Floats
-    """From each centre to that of its mass, shape (D, 2): solder and wires are on one side."""
+    beads_m: Floats
+    """From each centre to the bead of solder and glue where its cable leaves, shape (D, 2)."""
+    beads_kg_m3: Floats
+    """Mass of each bead over the plate's density, m^3, shape (D,)."""
 
     @property
     def face_m2(self) -> float:
@@ -79,8 +81,8 @@ class Loss(NamedTuple):
 
 def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
     """Return the discs in the reference's modes, shape (n, MEANS D), mean by mean."""
-    masses_m, unit = discs.centres_m + discs.offset_m, np.sqrt(size[0] * size[1])
-    return np.asarray(unit * vectors_at(discs.centres_m, masses_m, discs.radius_m, size, plate.counts, plate.sums))
+    unit = np.sqrt(size[0] * size[1])
+    return np.asarray(unit * vectors_at(discs.centres_m, discs.beads_m, discs.radius_m, size, plate.counts, plate.sums))
 
 
 class Start(NamedTuple):

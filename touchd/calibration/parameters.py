@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise, starmap
 from typing import NamedTuple
 
 import numpy as np
@@ -26,8 +27,10 @@ PLASTIC_M_S = 2500.0
 SPEED_PRIOR, POISSON_PRIOR = 0.02, 0.02
 """Standard deviations of handbook values: of the logarithm of the wave speed, and of Poisson's ratio."""
 LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR, GYRATION_PRIOR = 0.7, 0.5, 0.3, 0.05, 1.5, 1.0
-OFFSET_PRIOR = 0.3
-"""Of where a disc's mass is, mm: 30 mg of solder at 4 mm from the centre move that of 0.43 g by as much."""
+BOND_PRIOR = 0.3
+"""Of how much stiffer one disc's bond is than another's, in the unit of stiffness."""
+BEAD_G, BEAD_G_PRIOR, BEAD_MM_PRIOR = 0.05, 0.03, 4.0
+"""Mass of a bead of solder and glue, its deviation, and that of its place along x and y from a disc's centre."""
 
 FIRST = ("speed", "thickness", "loss")
 PLATE = ("speed", "thickness", "loss", "poisson", "width", "height", "slope")
@@ -80,13 +83,15 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
             Unknown(f"{side} {each}", f"edge {each}, {side}", "", value, prior)
             for each, value, prior in zip(KINDS, start.values, start.priors, strict=True)
         ]
-    places, offsets = list[Unknown](), list[Unknown]()
+    places, bonds, beads, masses = (list[Unknown]() for _ in range(4))
     for k, place in enumerate(said.layout().centres_mm):
         disc = f"receiver {k}" if k else "emitter"
         for axis, value in zip("xy", place, strict=True):
             places.append(Unknown(f"{axis}{k}", f"{disc} {axis}", "mm", float(value), d.uncertainty_mm))
-            offsets.append(Unknown(f"m{axis}{k}", f"disc mass {axis}, {disc}", "mm", 0.0, OFFSET_PRIOR))
-    return (*found, *places, *offsets)
+            beads.append(Unknown(f"bead {axis}{k}", f"disc bead {axis}, {disc}", "mm", 0.0, BEAD_MM_PRIOR))
+        bonds.append(Unknown(f"stiffness {k}", f"disc stiffer, {disc}", "1e-7 m^3", 0.0, BOND_PRIOR))
+        masses.append(Unknown(f"bead mass {k}", f"disc bead, {disc}", "g", BEAD_G, BEAD_G_PRIOR))
+    return (*found, *places, *bonds, *beads, *masses)
 
 
 def held_sides(said: PlateFile) -> dict[str, str]:
@@ -103,16 +108,19 @@ class Reader:
         self.start = np.array([unknown.start for unknown in self.unknowns])
         self.prior = np.array([unknown.prior for unknown in self.unknowns])
         self._at = {name: i for i, name in enumerate(self.names)}
-        self.places = self.names[self._at["x0"] : self._at["mx0"]]
+        first = [self._at[name] for name in ("x0", "stiffness 0", "bead x0", "bead mass 0")]
+        self._places, self._bonds, self._beads, self._masses = starmap(slice, pairwise([*first, None]))
+        self.places = self.names[self._places]
         """Names of the discs' coordinates."""
-        self.offsets = self.names[self._at["mx0"] :]
-        """Names of the offsets of their masses."""
+        self.joints = self.names[self._bonds.start :]
+        """Names of what differs from disc to disc: how stiff the bond is, and the bead."""
         self.held = held_sides(said)
         """What holds each side that is not free."""
         self.edges = tuple(f"{side} {kind}" for side in self.held for kind in KINDS)
         """Names of the edges' unknowns, for example `left damping`."""
         self._plate, self._layout = said.twin_plate(), said.layout()
         self._said = shape_of(self._plate)
+        self._gram_m3 = 1e-3 / material_of(self._plate).rho_kg_m3
         lever_mm = (said.plate.thickness_mm + DISC_THICKNESS_MM) / 2
         self._gyration2_m2 = 1e-6 * (lever_mm**2 + said.discs.diameter_mm**2 / 16)
         chirp = acquisition.chirp
@@ -131,12 +139,13 @@ class Reader:
             v["width"] * 1e-3, v["height"] * 1e-3,
         )  # fmt: skip
         discs = Discs(
-            p[self._at["x0"] : self._at["mx0"]].reshape(-1, 2) * 1e-3,
+            p[self._places].reshape(-1, 2) * 1e-3,
             layout.diameter_mm / 2e3 * np.exp(v["radius"]),
-            layout.mass_g * 1e-3 / material_of(self._plate).rho_kg_m3 * np.exp(v["mass"]),
-            max(STIFFNESS_M3 * v["stiffness"], 0.0),
+            layout.mass_g * self._gram_m3 * np.exp(v["mass"]),
+            STIFFNESS_M3 * np.maximum(v["stiffness"] + p[self._bonds], 0.0),
             max(self._gyration2_m2 * v["gyration"], 0.0),
-            p[self._at["mx0"] :].reshape(-1, 2) * 1e-3,
+            p[self._beads].reshape(-1, 2) * 1e-3,
+            np.maximum(p[self._masses], 0.0) * self._gram_m3,
         )
         edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
         return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle), edges)
@@ -151,7 +160,8 @@ class Reader:
             "stiffness": ("stiffness", STIFFNESS_M3), "gyration": ("gyration2", self._gyration2_m2),
         }  # fmt: skip
         found |= {name: (name, 1.0) for name in self.edges}
-        return found | {name: (name, 1e-3) for name in (*self.places, *self.offsets)}
+        units = (self._places, 1e-3), (self._bonds, STIFFNESS_M3), (self._beads, 1e-3), (self._masses, self._gram_m3)
+        return found | {name: (name, unit) for some, unit in units for name in self.names[some]}
 
     def plate(self, p: Floats) -> ElasticPlate:
         """Return the plate of a vector, its sides to a micrometre, as models describe them.
@@ -173,9 +183,10 @@ class Reader:
         return Layout(
             emitter_mm=places[0], receivers_mm=tuple(places[1:]), diameter_mm=2e3 * discs.radius_m,
             mass_g=1e3 * rho * discs.mass_kg_m3,
-            stiffness_n_m=rho * guess.shape.speed2 * discs.stiffness_m3, lever_mm=1e3 * np.sqrt(discs.lever2_m2),
-            spread=discs.spread,
-            offsets_mm=tuple((float(x), float(y)) for x, y in 1e3 * discs.offset_m),
+            stiffnesses_n_m=tuple((rho * guess.shape.speed2 * discs.stiffness_m3).tolist()),
+            lever_mm=1e3 * np.sqrt(discs.lever2_m2), spread=discs.spread,
+            beads_mm=tuple(map(tuple, (1e3 * discs.beads_m).tolist())),
+            beads_g=tuple((1e3 * rho * discs.beads_kg_m3).tolist()),
         )  # fmt: skip
 
     def shown(self, p: Floats) -> Floats:
@@ -186,4 +197,4 @@ class Reader:
         return np.array([*first, loss.slope, layout.mass_g, layout.diameter_mm,
                          max(p[self._at["stiffness"]], 0.0),  # as it is read
                          max(p[self._at["gyration"]] * self._gyration2_m2 * 1e6, 0.0),
-                         *p[self._at["gyration"] + 1 :]])  # fmt: skip
+                         *p[self._at["gyration"] + 1 : self._masses.start], *layout.beads_g])  # fmt: skip

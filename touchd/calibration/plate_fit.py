@@ -30,7 +30,7 @@ NOISE = 1.0
 """Median error by noise, wavelengths times the RMS of a frame's noise relative to the signal."""
 MODEL = 0.04
 """Median error by physics that the fit lacks, wavelengths times the root of the energy that it leaves."""
-GOOD_LEFT, USABLE_LEFT = 0.01, 0.12
+GOOD_LEFT, USABLE_LEFT = 0.004, 0.12
 """Most energy that a good and a usable fit leave, beyond noise."""
 GOOD_MM, USABLE_MM = 0.2, 1.0
 """Largest expected error of a good and a usable fit, mm."""

@@ -231,7 +231,7 @@ def run_stages(
         model = _model_near(reader, state.p, untouched)
     progress(0.8)
     state = descend(model, state.p, (*PLATE, *DISCS, *edges, *places), WHOLE, 8)
-    return descend(model, state.p, (*state.names, *reader.offsets), WHOLE, 4), model
+    return descend(model, state.p, (*state.names, *reader.joints), WHOLE, 8), model
 
 
 def _starts(model: UntouchedModel) -> list[Floats]:

@@ -121,11 +121,11 @@ def turned(position_mm: Floats, orientation: int, size_mm: tuple[float, float]) 
 def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     """Return a fit whose drawing is turned: the untouched plate sounds the same."""
     places = turned(fit.layout.centres_mm, orientation, fit.plate.size_mm).tolist()
-    offsets = turned(np.array(fit.layout.offsets_mm).reshape(-1, 2), orientation, (0.0, 0.0)).tolist()
+    beads = turned(np.array(fit.layout.beads_mm).reshape(-1, 2), orientation, (0.0, 0.0)).tolist()
     layout = fit.layout.model_copy(
         update={
             "emitter_mm": tuple(places[0]), "receivers_mm": tuple(map(tuple, places[1:])),
-            "offsets_mm": tuple(map(tuple, offsets)),
+            "beads_mm": tuple(map(tuple, beads)),
         }
     )  # fmt: skip
     reasons = fit.reasons

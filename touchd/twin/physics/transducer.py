@@ -25,10 +25,12 @@ VERSION = 3
 OTHER_BENDING = 0.54
 """A disc's resistance to the other two rotations around its rim over that to the outward one: (1 - nu) / (1 + nu) for
 PZT's nu of 0.3."""
-MEANS = 8
+MEANS = 9
 """Means over a disc, by which it drives and loads the plate. Without the moments a fit left 3.7 % of the untouched
 energy on acrylic, where the disc is three quarters of a wavelength and twice as heavy as the plate under it; with them
 1.4."""
+BEAD_M = 1e-3
+"""Radius of a bead."""
 BASIS_HZ = 3.0
 """Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
 KEPT_HZ = 2.0
@@ -48,14 +50,16 @@ class Layout(BaseModel):
     diameter_mm: float = Field(default=6.0, gt=0)
     mass_g: float = Field(default=0.43, ge=0)
     """Mass of each disc: 6 mm by 2 mm of PZT."""
-    stiffness_n_m: float = Field(default=0.0, ge=0)
-    """Resistance of each to the mean rotation around its rim, N m per rad."""
+    stiffnesses_n_m: tuple[float, ...] = ()
+    """Resistance of each disc to the mean rotation around its rim, N m per rad, emitter first; empty for none."""
     lever_mm: float = Field(default=0.0, ge=0)
     """Height of each disc's middle below the plate's: the plate's rotations move it in the plane."""
     spread: float = Field(default=0.0, ge=0, le=1)
     """How far each disc's mass is spread: 0 in its centre, 1 evenly, so that it moves with the deflection's slopes."""
-    offsets_mm: tuple[tuple[float, float], ...] = ()
-    """From each disc's centre to that of its mass, emitter first; empty for none."""
+    beads_mm: tuple[tuple[float, float], ...] = ()
+    """From each disc's centre, emitter first, to the bead of solder and glue where its cable leaves; empty for none."""
+    beads_g: tuple[float, ...] = ()
+    """Masses of the beads."""
 
     @property
     def centres_mm(self) -> Floats:
@@ -151,14 +155,13 @@ Sums = Callable[[int, Floats], Floats]
 
 def vectors_of(layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums) -> Floats:
     """Return the means over a layout's discs, as `vectors_at` does."""
-    centres_mm = layout.centres_mm
-    centres_m, masses_m = centres_mm * 1e-3, (centres_mm + np.array(layout.offsets_mm or 0.0)) * 1e-3
-    return vectors_at(centres_m, masses_m, layout.diameter_mm / 2e3, size_m, counts, sums)
+    beads_m = np.array(layout.beads_mm or 0.0) * 1e-3
+    return vectors_at(layout.centres_mm * 1e-3, beads_m, layout.diameter_mm / 2e3, size_m, counts, sums)
 
 
 def vectors_at(
     centres_m: Floats,
-    masses_m: Floats,
+    beads_m: Floats,
     radius_m: float,
     size_m: tuple[float, float],
     counts: tuple[int, int],
@@ -166,15 +169,17 @@ def vectors_at(
 ) -> Floats:
     """Return means of modes over D discs by which they drive and load the plate, shape (n, MEANS D), mean by mean.
 
-    The outward rotation around the rim, and the two others there; under the mass, which is as wide, the deflection, the
-    two rotations, and the deflection's two moments.
+    The outward rotation around the rim, and the two others there; under the disc the deflection, the two rotations, and
+    the deflection's two moments; and the deflection under a bead `beads_m` from its centre, at most on the edge.
     """
     rims = legendre.rim_average(centres_m, radius_m, size_m, counts)
     xx, xy, yx, yy = [sums(field, rim) for field in (1, 2) for rim in rims]
     radii = np.full(len(centres_m), radius_m)
-    under = legendre.disc_average(masses_m, radii, size_m, counts)
-    moments = legendre.disc_moments(masses_m, radii, size_m, counts)
-    means = [sums(field, under) for field in range(3)] + [sums(0, moment) for moment in moments]
+    under = legendre.disc_average(centres_m, radii, size_m, counts)
+    moments = legendre.disc_moments(centres_m, radii, size_m, counts)
+    places_m = np.clip(centres_m + beads_m, BEAD_M, np.array(size_m) - BEAD_M)
+    beads = legendre.disc_average(places_m, np.full(len(centres_m), BEAD_M), size_m, counts)
+    means = [sums(field, under) for field in range(3)] + [sums(0, each) for each in (*moments, beads)]
     return np.concatenate([xx + yy, xx - yy, xy + yx, *means], axis=1)
 
 
@@ -183,18 +188,20 @@ def with_discs(omega_rad_s: Floats, vectors: Floats, layout: Layout, below_hz: f
 
     `vectors` are those of `vectors_at`.
     """
-    outward, other_1, other_2, mean, *rolls, slope_x, slope_y = np.split(vectors, MEANS, axis=1)
+    outward, other_1, other_2, mean, *rolls, slope_x, slope_y, bead = np.split(vectors, MEANS, axis=1)
     # M = 1 + B B'; its inverse root differs from 1 only in the span of B.
     lever, tilt = layout.lever_mm * 1e-3, np.sqrt(layout.spread)
     moved = [mean, *(lever * roll for roll in rolls if lever), *(tilt * slope for slope in (slope_x, slope_y) if tilt)]
     B = np.concatenate(moved, axis=1) * np.sqrt(layout.mass_g * 1e-3)
+    if layout.beads_g:
+        B = np.concatenate([B, bead * np.sqrt(np.array(layout.beads_g) * 1e-3)], axis=1)
     U, sigma, _ = np.linalg.svd(B, full_matrices=False)
     root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
     root[np.diag_indices(len(root))] += 1
     stiffness = (root * omega_rad_s**2) @ root
-    if layout.stiffness_n_m:
+    if layout.stiffnesses_n_m:
         bent = np.concatenate([outward, *(np.sqrt(OTHER_BENDING) * other for other in (other_1, other_2))], axis=1)
-        stiffened = root @ bent * np.sqrt(layout.stiffness_n_m)
+        stiffened = root @ bent * np.tile(np.sqrt(layout.stiffnesses_n_m), 3)
         stiffness += stiffened @ stiffened.T
     squared, V = np.linalg.eigh(stiffness)
     omega = np.sqrt(np.maximum(squared, 0.0))
