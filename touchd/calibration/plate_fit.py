@@ -30,8 +30,9 @@ NOISE = 1.0
 """Median error by noise, wavelengths times the RMS of a frame's noise relative to the signal."""
 MODEL = 0.04
 """Median error by physics that the fit lacks, wavelengths times the root of the energy that it leaves."""
-GOOD_LEFT, USABLE_LEFT = 0.004, 0.12
-"""Most energy that a good and a usable fit leave, beyond noise."""
+GOOD_LEFT, USABLE_LEFT = 0.003, 0.12
+"""Most energy that a good and a usable fit leave, beyond noise. With less than the former physics err less than
+fingertips differ (twin)."""
 GOOD_MM, USABLE_MM = 0.2, 1.0
 """Largest expected error of a good and a usable fit, mm."""
 FINGER_MM = 12.0

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.place_correction import LABELS_MM, Widths, correction_of, with_places
-from touchd.calibration.plate_fit import PlateFit, Progress
+from touchd.calibration.plate_fit import GOOD_LEFT, PlateFit, Progress
 from touchd.calibration.reduced_plate import Complex, Floats
 from touchd.calibration.tap_fit import fit_taps
-from touchd.calibration.wave_correction import LEAST_LACKING, with_waves
+from touchd.calibration.wave_correction import with_waves
 from touchd.errors import CalibrationError, TrainingError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
 from touchd.localization.atlas import Atlas
@@ -153,7 +153,7 @@ def refine(
     values, label_mm = taps.values[used], taps.label_mm[used]
     placed_mm, misfit = placed.position_mm[used], placed.misfit[used]
     lack_stays = 1.0
-    if widths is not None and widths.lacking > LEAST_LACKING:
+    if widths is not None and widths.lacking > GOOD_LEFT:
         atlas, lack_stays = with_waves(atlas, values, placed_mm, widths.lacking, progress)
         placed_mm, _, misfit, _ = fit_taps(atlas, values, placed_mm)
     scatter_mm, moved_mm = float(np.sqrt(np.square(placed_mm - label_mm).mean())), 0.0

@@ -24,8 +24,6 @@ from touchd.training.field.few_touches import Product, basis_of, covariance, pro
 from touchd.training.field.place import FieldMap
 from touchd.training.field.regression import distances
 
-LEAST_LACKING = 5e-3
-"""Below this share of the untouched energy that a fit leaves, physics err less than fingertips differ (twin)."""
 MOST_STAYS = 0.95
 """Of taps left out no more than this share of the lack stays, or the field does."""
 NO_PRODUCT = 0.3

@@ -7,9 +7,10 @@ import pytest
 
 from tests.unit.calibration.plates import PLATE, basis_of, elastic
 from touchd.calibration.place_correction import Widths
+from touchd.calibration.plate_fit import GOOD_LEFT
 from touchd.calibration.tap_fit import fit_taps
 from touchd.calibration.taps import Taps, refine, taps_of
-from touchd.calibration.wave_correction import LEAST_LACKING, Corrected, with_waves
+from touchd.calibration.wave_correction import Corrected, with_waves
 from touchd.localization.atlas import Atlas
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.mounting import Attachment, Support, attach
@@ -76,7 +77,7 @@ def test_right_field(atlas: Atlas, instrument: Instrument) -> None:
     assert with_waves(atlas, taps.values, taps.label_mm, 0.01) == Corrected(atlas, 1.0)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.9 * LEAST_LACKING])
+@pytest.mark.parametrize("share", [0.0, 0.9 * GOOD_LEFT])
 def test_good_fit(atlas: Atlas, heavy: Instrument, share: float) -> None:
     """The field of a fit that leaves little stays as it is."""
     taps = drawn(heavy, atlas, 20, 7)
