@@ -15,6 +15,7 @@ from touchd.frame import Plate
 from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.contact import face_of
 from touchd.twin.physics.finger import force_of
 from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.scenes.fingers import FIVE_APART_MM, PASS_MM, TWO_APART_MM
@@ -76,6 +77,16 @@ def test_fingers_keep_their_distance_lie_on_the_plate_and_cover_none_other(
     assert contacts_mm.shape == (40, fingers, 2)
     assert np.isnan(contacts_mm[::2]).all()
     np.testing.assert_allclose(force_n[1::2], force_of(finger, area), rtol=1e-6)
+
+
+@pytest.mark.parametrize("finger", ["fingertip", "thumb", "glove"])
+def test_a_turned_face_lies_on_the_plate(finger: str) -> None:
+    """However large, long and turned: one of 8,000 fingertips reached over the edge, and its session failed."""
+    small = Plate(width_mm=21, height_mm=21, thickness_mm=5)
+    faces = [face_of(one) for [one] in written(TouchSet(5000, finger), plate=small).touches(0, 10_000)[1::2]]
+    centres_mm = np.array([face.centres_mm for face in faces])
+    radius_mm = np.sqrt([face.disc_mm2 / np.pi for face in faces])[:, None, None] - 1e-9
+    assert ((centres_mm >= radius_mm) & (centres_mm <= 21 - radius_mm)).all()
 
 
 @given(st.floats(0, 40), st.sampled_from(["silicone", "human"]), st.integers(0, 2**31))

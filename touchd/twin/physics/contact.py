@@ -50,6 +50,15 @@ def face_of(contact: Contact) -> Face:
     )
 
 
+def reach_mm(area_mm2: Floats, ratio: Floats, angle_rad: Floats) -> Floats:
+    """Return how far the discs of faces (...) reach from their middles along x and y, (..., 2): beyond the ellipse."""
+    long, short = np.sqrt(area_mm2 * ratio / np.pi), np.sqrt(area_mm2 / ratio / np.pi)
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    ellipse = np.stack([np.hypot(long * cos, short * sin), np.hypot(long * sin, short * cos)], axis=-1)
+    disc = np.sqrt(area_mm2 / len(_discs()) / np.pi)
+    return np.asarray(np.hypot(*_discs().T).max() * ellipse + disc[..., None])
+
+
 def size_of(contact: Contact) -> int:
     """Return the number K of coupled forces of a contact."""
     if not is_compliant(contact.kind):

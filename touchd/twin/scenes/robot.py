@@ -11,6 +11,7 @@ from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C
+from touchd.twin.physics.contact import reach_mm
 from touchd.twin.physics.finger import force_of, is_compliant, tissue_of
 from touchd.twin.scenes.timeline import RATIOS, Laid, Stage
 
@@ -103,6 +104,9 @@ def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electro
         place = margin_mm + _even_places(count, span, rng)
     else:
         place = margin_mm + _places(asked, span, np.sqrt(area * ratio / np.pi), rng)
+    if is_compliant(finger):
+        room_mm = reach_mm(area, ratio, angle)
+        place = np.clip(place, room_mm, np.array([plate.width_mm, plate.height_mm]) - room_mm)
     if asked.label_noise_mm:  # drawn last, so that label noise does not change the frames
         stage.label_error_mm = np.zeros((2 * count, asked.fingers, 2))
         stage.label_error_mm[1::2] = asked.label_noise_mm * rng.standard_normal(place.shape)
