@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,12 +38,13 @@ NOISE = 2.0
 FRAMES = 300
 
 
-def said(order: tuple[int, ...] = (0, 1, 2, 3, 4), **plate: Any) -> PlateFile:
+def said(order: tuple[int, ...] = (0, 1, 2, 3, 4), scatterers: Any = (), **plate: Any) -> PlateFile:
     """PLATE.toml, with the discs' places in another order."""
     places = (LAYOUT.centres_mm + OFF_MM)[list(order)].tolist()
     facts = {"width_mm": 90, "height_mm": 70, "thickness_mm": 5, "material": "glass"} | plate
     return check_plate_file({
         "plate": facts, "discs": {"diameter_mm": 6, "emitter_mm": places[0], "receivers_mm": places[1:]},
+        "scatterers": scatterers,
     })  # fmt: skip
 
 
@@ -245,15 +247,37 @@ def test_a_plastic_plate() -> None:
     assert fit.loss.factor == pytest.approx(0.03, rel=0.1)
 
 
+HOLE = missing(TRUE, 0.9, x_mm=50.0, y_mm=30.0, half_x_mm=6.0, half_y_mm=6.0)
+
+
 def test_a_hole(tmp_path: Path) -> None:
-    """A plate with a hole is not good, the reason says what to check, and standard errors know how wrong places are."""
-    hole = missing(TRUE, 0.9, x_mm=50.0, y_mm=30.0, half_x_mm=6.0, half_y_mm=6.0)
-    fit = fit_plate(said(), heard(hole))
-    assert fit.verdict != "good"
-    assert "without holes" in fit.reasons[0]
-    plate = other(hole)
-    model = model_of(fit, plate, tmp_path / "plate.onnx")
-    assert 0.5 < within_sigma(model, plate) < 0.85
+    """A hole that nobody told of is found, to a millimetre; the plate is not good until it is said.
+
+    Standard errors know how wrong places are, beside the hole, too.
+    """
+    heard_hole = heard(HOLE)
+    unknown = fit_plate(said(), heard_hole)
+    assert unknown.verdict == "usable"
+    assert re.search(r"something at \((49|50|51), (29|30|31)\) mm", unknown.reasons[0])
+    found = {parameter.name: parameter.fitted for parameter in unknown.parameters}
+    assert math.dist((found["scatterer 1 x"], found["scatterer 1 y"]), (50, 30)) < 1
+    assert found["scatterer 1 mass"] < 0
+    plate = other(HOLE)
+    assert 0.5 < within_sigma(model_of(unknown, plate, tmp_path / "plate.onnx"), plate) < 0.85
+    known = fit_plate(said(scatterers=[{"at_mm": [50.6, 29.5], "diameter_mm": 12}]), heard_hole)
+    assert known.verdict == "good"
+    assert known.unexplained < 1e-3
+    assert places_off_mm(known) < 0.1
+
+
+def test_a_button() -> None:
+    """A button of steel that somebody has glued on is found likewise, as a mass."""
+    steel = Patch(60.0, 45.0, 5.0, 5.0, mass_kg_m2=7800 * 3e-3, bending_n_m=40.0)
+    fit = fit_plate(said(), heard(steel))
+    found = {parameter.name: parameter.fitted for parameter in fit.parameters}
+    assert fit.verdict == "usable"
+    assert math.dist((found["scatterer 1 x"], found["scatterer 1 y"]), (60, 45)) < 1
+    assert found["scatterer 1 mass"] == pytest.approx(1.84, rel=0.3)
 
 
 def within_sigma(model: Model, plate: Instrument) -> float:

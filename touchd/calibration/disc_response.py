@@ -15,9 +15,10 @@ from itertools import product
 
 import numpy as np
 
-from touchd.calibration.loads import LEAST_RATIO, Discs, Guess, Lines, disc_vectors
+from touchd.calibration.loads import LEAST_RATIO, SCATTERER, Discs, Guess, Lines, disc_vectors
 from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, ReducedPlate, Shape
-from touchd.twin.physics.transducer import MEANS, OTHER_BENDING
+from touchd.twin.physics import legendre
+from touchd.twin.physics.transducer import CELLS, MEANS, OTHER_BENDING
 
 _PLACE_STEP_M = 1e-6
 ABSENT = 1e-9
@@ -55,6 +56,18 @@ class DiscResponse:
         self._stiff_load = np.tile(discs.stiffness_m3, MEANS) * self._per_stiffness
         self._disc_load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
         self._disc_load[:, -D:] = discs.beads_kg_m3 * inert
+        # Of each scatterer, likewise: (F, 6 CELLS).
+        by_mass, by_stiffness = (
+            np.repeat([0, 0, 0, 1, 1, 1], CELLS) / CELLS,
+            np.repeat([1, other, other, 0, 0, 0], CELLS),
+        )
+        self._per_scatterer = inert * by_mass, spring * by_stiffness
+        for *_, mass, stiffness in discs.scatterers:
+            heavy, stiff_one = mass * self._per_scatterer[0], stiffness * self._per_scatterer[1]
+            self._stiff_load = np.concatenate([self._stiff_load, stiff_one], axis=1)
+            own = heavy + stiff_one
+            self._disc_load = np.concatenate([self._disc_load, own], axis=1)
+        self._held = self._disc_load.shape[1]
         self._load = self._disc_load  # (F, V)
         self._per_edge: dict[str, Complex] = {}
         if lines:
@@ -78,6 +91,14 @@ class DiscResponse:
         """Return the response between any two discs, shape (D, D, F)."""
         return np.asarray(self._G[:, : self._G.shape[2]].transpose(1, 2, 0))
 
+    def at(self, places_m: Floats) -> Complex:
+        """Return the loaded plate's answer to each disc's rotation at places (k, 2), shape (D, k, F)."""
+        sides, counts = (self._shape.width, self._shape.height), self._plate.counts
+        x, y = (legendre.values(places_m[:, i], sides[i], counts[i]) for i in (0, 1))
+        points = np.sqrt(sides[0] * sides[1]) * self._plate.sums(0, x[:, :, None] * y[:, None])
+        shapes = self._plate.turned(points, self._bare).T
+        return np.stack([_product(shapes, answer) for answer in self._answers])
+
     def slopes(self, names: set[str]) -> dict[str, Complex]:
         """Return the derivatives (R, F) by the named parameters.
 
@@ -95,8 +116,11 @@ class DiscResponse:
             across = self._across(d, what, _PLACE_STEP_M, np.eye(2)[axis])
             for k in wanted:
                 own = np.zeros_like(across)  # the other discs' vectors stay
-                own[:, k::D] = across[:, k::D]
+                own[:, k : MEANS * D : D] = across[:, k : MEANS * D : D]
                 found[f"{prefix}{k}"] = self._by_vectors(own)
+        for k, at in product(range(len(d.scatterers)), range(5)):
+            if (name := f"scatterer {SCATTERER[at]} {k}") in names:
+                found[name] = self._by_scatterer(k, at)
         if "radius" in names:
             across = self._across(d, "radius_m", 1e-3 * d.radius_m)
             found["radius"] = self._by_vectors(across) + d.radius_m / 2 * self._weighed(self._by_face)
@@ -107,10 +131,19 @@ class DiscResponse:
                 found[f"bead mass {k}"] = -self._weighed(self._inert, (MEANS - 1) * D + k)
             if f"stiffness {k}" in names:
                 found[f"stiffness {k}"] = -self._weighed(self._per_stiffness * np.tile(np.arange(D) == k, MEANS))
-        found |= {name: -self._weighed(load, MEANS * D) for name, load in self._per_edge.items() if name in names}
+        found |= {name: -self._weighed(load, self._held) for name, load in self._per_edge.items() if name in names}
         if names & {"loss", "slope", *SHAPE_NAMES}:
             found.update(self._by_plate(names))
         return found
+
+    def _by_scatterer(self, k: int, at: int) -> Complex:
+        """Return the derivative (R, F) by a number of one scatterer."""
+        D = len(self._discs.centres_m)
+        if at >= 3:
+            return -self._weighed(self._per_scatterer[at - 3], MEANS * D + 6 * CELLS * k)
+        along = np.zeros_like(self._discs.scatterers)
+        along[k, at] = 1.0
+        return self._by_vectors(self._across(self._discs, "scatterers", _PLACE_STEP_M, along))
 
     def _weighed(self, load: Floats | Complex, first: int = 0) -> Complex:
         """Return the emitter's and each receiver's answer times loads (F, k) of the vectors from `first`, (R, F)."""
@@ -174,7 +207,7 @@ class DiscResponse:
         if self._lines:
             elastic = self._lines.elastic(self._edges)
             elastic = np.broadcast_to(elastic, (len(self._nu), elastic.shape[1]))
-            by_loss -= 1j * self._loss.at(self._nu) * self._weighed(elastic, MEANS * D)
+            by_loss -= 1j * self._loss.at(self._nu) * self._weighed(elastic, self._held)
         if "loss" in names:
             found["loss"] = by_loss
         if "slope" in names:

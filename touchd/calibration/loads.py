@@ -20,12 +20,13 @@ from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate, Shap
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import Attachment, Support
-from touchd.twin.physics.transducer import vectors_at
+from touchd.twin.physics.transducer import scatterer_vectors, vectors_at
 
 LEAST_RATIO = 0.05
 """Of frequency over the band's middle: below it the loss stays as it is."""
 SIDES = ("left", "right", "top", "bottom")
 KINDS = ("stiffness", "damping", "mass")
+SCATTERER = ("x", "y", "radius", "mass", "stiffness")
 WIDTH_MM = 6.0
 """A strip's width: it trades off against stiffness."""
 FEWER = 5
@@ -50,6 +51,9 @@ class Discs(NamedTuple):
     """From each centre to the bead of solder and glue where its cable leaves, shape (D, 2)."""
     beads_kg_m3: Floats
     """Mass of each bead over the plate's density, m^3, shape (D,)."""
+    scatterers: Floats = np.zeros((0, 5))
+    """Of each of L scatterers x and y, m; radius, m; mass over the plate's density and stiffness over its Young's
+    modulus, m^3: shape (L, 5)."""
 
     @property
     def face_m2(self) -> float:
@@ -80,9 +84,11 @@ class Loss(NamedTuple):
 
 
 def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
-    """Return the discs in the reference's modes, shape (n, MEANS D), mean by mean."""
-    unit = np.sqrt(size[0] * size[1])
-    return np.asarray(unit * vectors_at(discs.centres_m, discs.beads_m, discs.radius_m, size, plate.counts, plate.sums))
+    """Return the discs in the reference's modes, mean by mean, and the scatterers: shape (n, MEANS D + 6 CELLS L)."""
+    found = [vectors_at(discs.centres_m, discs.beads_m, discs.radius_m, size, plate.counts, plate.sums)]
+    for x, y, radius, *_ in discs.scatterers:
+        found.append(scatterer_vectors(np.array([x, y]), radius, size, plate.counts, plate.sums))
+    return np.asarray(np.sqrt(size[0] * size[1]) * np.concatenate(found, axis=1))
 
 
 class Start(NamedTuple):

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import pairwise, starmap
+from itertools import cycle, pairwise, starmap
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Guess, Loss
+from touchd.calibration.loads import KINDS, SCATTERER, STARTS, Discs, Edges, Guess, Loss
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Floats, Shape, shape_of
 from touchd.frame import Acquisition, Chirp, Plate
 from touchd.twin.physics.material import ElasticPlate, Material, material_of, mindlin_wavenumber
-from touchd.twin.physics.transducer import Layout
+from touchd.twin.physics.transducer import Layout, Scatterer
 
 STIFFNESS_M3 = 1e-7
 """Unit of a disc's bending stiffness over the plate's Young's modulus: 6 mm of 2 mm PZT bonded to 5 mm glass have 2."""
@@ -31,6 +31,11 @@ BOND_PRIOR = 0.3
 """Of how much stiffer one disc's bond is than another's, in the unit of stiffness."""
 BEAD_G, BEAD_G_PRIOR, BEAD_MM_PRIOR = 0.05, 0.03, 4.0
 """Mass of a bead of solder and glue, its deviation, and that of its place along x and y from a disc's centre."""
+
+SCATTERER_UNITS, SCATTERER_PRIORS = ("mm", "mm", "mm", "g", "1e-7 m^3"), (3.0, 1.0)
+"""A hole of 16 mm in 5 mm of glass takes 2.5 g and 0.9e-7 m^3 away."""
+RADIUS_PRIOR, LEAST_RADIUS_MM = 0.5, 0.5
+"""Relative, and the least."""
 
 FIRST = ("speed", "thickness", "loss")
 PLATE = ("speed", "thickness", "loss", "poisson", "width", "height", "slope")
@@ -83,6 +88,13 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
             Unknown(f"{side} {each}", f"edge {each}, {side}", "", value, prior)
             for each, value, prior in zip(KINDS, start.values, start.priors, strict=True)
         ]
+    for k, one in enumerate(said.scatterers):
+        starts = (*one.at_mm, one.diameter_mm / 2, 0.0, 0.0)
+        priors = (one.uncertainty_mm, one.uncertainty_mm, RADIUS_PRIOR * one.diameter_mm / 2, *SCATTERER_PRIORS)
+        found += [
+            Unknown(f"scatterer {each} {k}", f"scatterer {k + 1} {each}", unit, start, prior)
+            for each, unit, start, prior in zip(SCATTERER, SCATTERER_UNITS, starts, priors, strict=True)
+        ]
     places, bonds, beads, masses = (list[Unknown]() for _ in range(4))
     for k, place in enumerate(said.layout().centres_mm):
         disc = f"receiver {k}" if k else "emitter"
@@ -118,9 +130,12 @@ class Reader:
         """What holds each side that is not free."""
         self.edges = tuple(f"{side} {kind}" for side in self.held for kind in KINDS)
         """Names of the edges' unknowns, for example `left damping`."""
+        self.scatterers = tuple(name for name in self.names if name.startswith("scatterer "))
+        """Names of the scatterers' numbers."""
         self._plate, self._layout = said.twin_plate(), said.layout()
         self._said = shape_of(self._plate)
         self._gram_m3 = 1e-3 / material_of(self._plate).rho_kg_m3
+        self._scatterer_units = (1e-3, 1e-3, 1e-3, self._gram_m3, STIFFNESS_M3)
         lever_mm = (said.plate.thickness_mm + DISC_THICKNESS_MM) / 2
         self._gyration2_m2 = 1e-6 * (lever_mm**2 + said.discs.diameter_mm**2 / 16)
         chirp = acquisition.chirp
@@ -128,7 +143,7 @@ class Reader:
 
     def index(self, names: tuple[str, ...]) -> NDArray[np.intp]:
         """Return where names stand in a vector."""
-        return np.array([self._at[name] for name in names])
+        return np.array([self._at[name] for name in names], np.intp)
 
     def read(self, p: Floats) -> Guess:
         """Return what a vector says, in SI units."""
@@ -146,9 +161,22 @@ class Reader:
             max(self._gyration2_m2 * v["gyration"], 0.0),
             p[self._beads].reshape(-1, 2) * 1e-3,
             np.maximum(p[self._masses], 0.0) * self._gram_m3,
+            self._scatterers(p),
         )
         edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
         return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle), edges)
+
+    def without_scatterers(self, p: Floats) -> Floats:
+        """Return a vector of the same plate without its scatterers."""
+        found = p.copy()
+        found[self.index(tuple(name for name in self.scatterers if "mass" in name or "stiffness" in name))] = 0.0
+        return found
+
+    def _scatterers(self, p: Floats) -> Floats:
+        """Return them as `Discs` has them."""
+        found = p[self.index(self.scatterers)].reshape(-1, len(SCATTERER)) * self._scatterer_units
+        found[:, 2] = np.maximum(found[:, 2], 1e-3 * LEAST_RADIUS_MM)
+        return found
 
     def chain(self, p: Floats) -> dict[str, tuple[str, float]]:
         """Return, for each unknown, the name of the response's derivative and the factor to it."""
@@ -160,6 +188,7 @@ class Reader:
             "stiffness": ("stiffness", STIFFNESS_M3), "gyration": ("gyration2", self._gyration2_m2),
         }  # fmt: skip
         found |= {name: (name, 1.0) for name in self.edges}
+        found |= {name: (name, unit) for name, unit in zip(self.scatterers, cycle(self._scatterer_units))}
         units = (self._places, 1e-3), (self._bonds, STIFFNESS_M3), (self._beads, 1e-3), (self._masses, self._gram_m3)
         return found | {name: (name, unit) for some, unit in units for name in self.names[some]}
 
@@ -187,6 +216,11 @@ class Reader:
             lever_mm=1e3 * np.sqrt(discs.lever2_m2), spread=discs.spread,
             beads_mm=tuple(map(tuple, (1e3 * discs.beads_m).tolist())),
             beads_g=tuple((1e3 * rho * discs.beads_kg_m3).tolist()),
+            scatterers=tuple(
+                Scatterer(at_mm=(1e3 * x, 1e3 * y), diameter_mm=2e3 * radius, mass_g=1e3 * rho * mass,
+                          stiffness_n_m=rho * guess.shape.speed2 * stiffness)
+                for x, y, radius, mass, stiffness in discs.scatterers.tolist()
+            ),
         )  # fmt: skip
 
     def shown(self, p: Floats) -> Floats:

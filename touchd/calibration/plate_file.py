@@ -81,11 +81,21 @@ class DiscsSaid(_Table):
     uncertainty_mm: float = Field(default=1.0, gt=0, le=50)
 
 
+class ScattererSaid(_Table):
+    """A table `[[scatterers]]`: a hole, a button, a bracket."""
+
+    at_mm: tuple[float, float]
+    diameter_mm: Millimetres
+    uncertainty_mm: float = Field(default=1.0, gt=0, le=50)
+    """Of the place."""
+
+
 class PlateFile(_Table):
     """What PLATE.toml says."""
 
     plate: PlateSaid
     discs: DiscsSaid
+    scatterers: tuple[ScattererSaid, ...] = ()
 
     def described(self) -> Plate:
         """Return the plate as recordings describe it."""
@@ -160,7 +170,7 @@ def _fix(kind: str, place: tuple[int | str, ...]) -> str:
     if kind == "missing":
         return "measure it, in mm, and add the key"
     if kind == "extra_forbidden":
-        tables: dict[str, type[_Table]] = {"plate": PlateSaid, "discs": DiscsSaid}
+        tables: dict[str, type[_Table]] = {"plate": PlateSaid, "discs": DiscsSaid, "scatterers": ScattererSaid}
         table = tables.get(str(place[0]))
         return f"remove it; known keys: {', '.join(table.model_fields)}" if table and len(place) > 1 else "remove it"
     if "edge" in place:
@@ -209,6 +219,12 @@ def _check_places(said: PlateFile) -> Iterator[Mistake]:
         for other, (x2, y2) in places[:number]:
             if (x - x2) ** 2 + (y - y2) ** 2 < (2 * radius) ** 2:
                 yield f"lies on {other}", f"discs.{key}", "measure both again"
+
+    for number, one in enumerate(said.scatterers):
+        x, y = one.at_mm
+        if not (0 <= x <= plate.width_mm and 0 <= y <= plate.height_mm):
+            what = f"({x:g}, {y:g}) lies beside the {plate.width_mm:g} x {plate.height_mm:g} mm plate"
+            yield what, f"scatterers.{number}.at_mm", "measure from the top left corner, x to the right and y down"
 
 
 def _places(discs: DiscsSaid) -> list[tuple[str, tuple[float, float]]]:

@@ -121,6 +121,20 @@ class UntouchedModel:
                 found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
         return found
 
+    def explained_by_mass(self, p: Floats, places_m: Floats) -> Floats:
+        """Return the share of what a vector's fit leaves that a small mass at each place (n, 2) explains, (n,)."""
+        response, fitted = self._response(p), self.fit(p, np.ones(self.measured.shape[1]))
+        answers = response.at(places_m)  # (D, n, F)
+        basis = self._basis(response.untouched()[:, None] * self._emission)
+        met, energy = np.zeros((2, len(places_m)))
+        for c, (B, left) in enumerate(zip(basis, fitted.residual, strict=True)):
+            Q = np.linalg.qr(B.T)[0]
+            waves = self._to_time(self.nu_rad_s**2 * answers[0] * answers[c + 1] * (fitted.gains[c] @ self._emission))
+            waves -= (waves @ Q) @ Q.T  # what a gain would do
+            met += waves @ left
+            energy += np.square(waves).sum(axis=1)
+        return np.asarray(met**2 / energy / np.square(fitted.residual).sum())
+
     def _response(self, p: Floats) -> DiscResponse:
         return DiscResponse(self.plate, self.reader.read(p), self.nu_rad_s, self._lines)
 
@@ -212,7 +226,7 @@ def run_stages(
     # Soft edges hardly change the first arrivals; a clamped one does.
     first = _model_near(reader, reader.start, untouched, edges="clamped" in reader.held.values())
     progress(0.2)
-    places, edges = reader.places, reader.edges
+    places, edges = reader.places, (*reader.edges, *reader.scatterers)
 
     def fit_first(start: Floats) -> State:
         state = descend(first, start, ("speed", "loss"), EARLY, 2)

@@ -120,12 +120,16 @@ def turned(position_mm: Floats, orientation: int, size_mm: tuple[float, float]) 
 
 def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     """Return a fit whose drawing is turned: the untouched plate sounds the same."""
-    places = turned(fit.layout.centres_mm, orientation, fit.plate.size_mm).tolist()
+    size_mm, scatterers = fit.plate.size_mm, fit.layout.scatterers
+    at_mm = np.array([each.at_mm for each in scatterers]).reshape(-1, 2)
+    others = zip(scatterers, turned(at_mm, orientation, size_mm).tolist(), strict=True)
+    places = turned(fit.layout.centres_mm, orientation, size_mm).tolist()
     beads = turned(np.array(fit.layout.beads_mm).reshape(-1, 2), orientation, (0.0, 0.0)).tolist()
     layout = fit.layout.model_copy(
         update={
             "emitter_mm": tuple(places[0]), "receivers_mm": tuple(map(tuple, places[1:])),
             "beads_mm": tuple(map(tuple, beads)),
+            "scatterers": tuple(each.model_copy(update={"at_mm": tuple(at)}) for each, at in others),
         }
     )  # fmt: skip
     reasons = fit.reasons

@@ -74,6 +74,20 @@ def test_mistakes(table: str, keys: dict[str, Any], said: str) -> None:
         read(table, **keys)
 
 
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"at_mm": [120, 170], "diameter_mm": 16}, "scatterers.0.at_mm.*beside the 200 x 150 mm plate"),
+        ({"at_mm": [120, 70]}, "scatterers.0.diameter_mm.*measure it"),
+        ({"at_mm": [120, 70], "diameter_mm": 16, "hole": True}, "scatterers.0.hole.*known keys: at_mm"),
+    ],
+)
+def test_mistakes_in_a_scatterer(table: dict[str, Any], said: str) -> None:
+    """What is wrong with a hole or a button is said, too."""
+    with pytest.raises(PlateFileInvalid, match=said):
+        check_plate_file({**CONTENT, "scatterers": [table]})
+
+
 def test_all_mistakes() -> None:
     """All mistakes are reported at once, each with its remedy, and a choice of types once."""
     content = changed("plate", height_mm=..., edge="glued", colour="red")

@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.calibration.disc_response import DiscResponse
-from touchd.calibration.loads import Discs, Edges, Guess, Loss, attachments, lines_along
+from touchd.calibration.loads import SCATTERER, Discs, Edges, Guess, Loss, attachments, lines_along
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape, shape_of
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.plate import solve
 from touchd.twin.physics.response import Response
-from touchd.twin.physics.transducer import Layout, load
+from touchd.twin.physics.transducer import Layout, Scatterer, load
 
 Complex = NDArray[np.complex128]
 
@@ -22,11 +22,12 @@ PLATE = ElasticPlate(width_mm=70, height_mm=60, thickness_mm=5, elastic=GLASS)
 NU: Complex = np.asarray(2 * np.pi * np.linspace(40e3, 105e3, 40) - 6500j, np.complex128)
 PLACES_MM = np.array([[15.0, 40.0], [10.0, 11.0], [58.0, 12.0]])
 BEADS_MM, BEADS_G = np.array([[4.0, 1.0], [-3.0, 2.0], [0.0, -5.0]]), np.array([0.06, 0.03, 0.05])
+HOLE = Scatterer(at_mm=(42, 34), diameter_mm=10, mass_g=-3e-4 * GLASS.rho_kg_m3, stiffness_n_m=-0.5e-7 * GLASS.E_pa)
 MASS_KG, STIFFNESS_N_M, LEVER_MM = 0.43e-3, np.array([9000.0, 6000.0, 11000.0]), 3.5
 LOSS = Loss(5e-3, 0.3, 2 * np.pi * 75e3)
 DISCS = Discs(
     PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa, (LEVER_MM**2 + 1.5**2) * 1e-6,
-    BEADS_MM * 1e-3, BEADS_G * 1e-3 / GLASS.rho_kg_m3,
+    BEADS_MM * 1e-3, BEADS_G * 1e-3 / GLASS.rho_kg_m3, np.array([[42e-3, 34e-3, 5e-3, -3e-7, -0.5e-7]]),
 )  # fmt: skip
 
 
@@ -61,6 +62,7 @@ def test_it_is_the_twins(plate: ReducedPlate, lever_mm: float, spread: float) ->
         spread=spread,
         beads_mm=((4.0, 1.0), (-3.0, 2.0), (0.0, -5.0)),
         beads_g=tuple(BEADS_G),
+        scatterers=(HOLE,),
     )
     modes = load(solve(PLATE, plate.counts, 300e3), PLATE, layout)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
@@ -83,7 +85,9 @@ def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
     layout = Layout(emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, spread=1)
     modes = attach(load(solve(PLATE, plate.counts, 300e3), PLATE, layout), PLATE, attachments(EDGES, PLATE), 0.0, 75e3)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
-    discs = DISCS._replace(stiffness_m3=np.zeros(3), gyration2_m2=DISCS.face_m2, beads_kg_m3=np.zeros(3))
+    discs = DISCS._replace(
+        stiffness_m3=np.zeros(3), gyration2_m2=DISCS.face_m2, beads_kg_m3=np.zeros(3), scatterers=np.zeros((0, 5))
+    )
     guess = Guess(plate.reference, discs, LOSS, EDGES)
     found = DiscResponse(plate, guess, NU, lines_along(plate, EDGES.kinds)).untouched()
     free = DiscResponse(plate, guess, NU).untouched()
@@ -98,7 +102,10 @@ def test_a_turned_plate(plate: ReducedPlate, orientation: int) -> None:
     size_m = np.array([plate.reference.width, plate.reference.height])
     flipped = np.array([bool(orientation & 1), bool(orientation & 2)])
     centres_m = np.where(flipped, size_m - DISCS.centres_m, DISCS.centres_m)
-    other = DISCS._replace(centres_m=centres_m, beads_m=np.where(flipped, -1, 1) * DISCS.beads_m)
+    scatterers = DISCS.scatterers.copy()
+    scatterers[:, :2] = np.where(flipped, size_m - scatterers[:, :2], scatterers[:, :2])
+    beads_m = np.where(flipped, -1, 1) * DISCS.beads_m
+    other = DISCS._replace(centres_m=centres_m, beads_m=beads_m, scatterers=scatterers)
     found = []
     for discs, edges in ((DISCS, EDGES), (other, EDGES.turned(orientation))):
         guess = Guess(plate.reference, discs, LOSS, edges)
@@ -138,6 +145,11 @@ def differences(plate: ReducedPlate, name: str, of: Discs = DISCS) -> Complex:
         what = "beads_kg_m3" if name.startswith("bead") else "stiffness_m3"
         unit = np.eye(3)[int(name[-1])]
         return central(lambda d: response(discs=of._replace(**{what: getattr(of, what) + d * unit})), 1e-11)
+    if name.startswith("scatterer"):
+        unit = np.zeros((1, 5))
+        unit[0, SCATTERER.index(name.split()[1])] = 1.0
+        step = 1e-11 if "mass" in name or "stiff" in name else 1e-6
+        return central(lambda d: response(discs=of._replace(scatterers=of.scatterers + d * unit)), step)
     unit = np.zeros((3, 2))
     unit[int(name[-1]), "xy".index(name[-2])] = 1.0
     what = "beads_m" if name.startswith("bead") else "centres_m"
@@ -145,7 +157,8 @@ def differences(plate: ReducedPlate, name: str, of: Discs = DISCS) -> Complex:
 
 
 NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "gyration2", "radius", "x0", "y0", "x1", "y1", "x2", "y2",
-         "bead x0", "bead y1", "bead x2", "bead mass 0", "bead mass 2", "stiffness 1", *EDGES.values)  # fmt: skip
+         "bead x0", "bead y1", "bead x2", "bead mass 0", "bead mass 2", "stiffness 1",
+         *(f"scatterer {name} 0" for name in SCATTERER), *EDGES.values)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)

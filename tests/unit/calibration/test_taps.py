@@ -23,6 +23,7 @@ from touchd.errors import CalibrationError
 from touchd.localization.atlas import Atlas, load_atlas, save_atlas
 from touchd.training.field.place import place
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics.transducer import Scatterer
 from touchd.twin.simulate import simulate_touches
 
 SIZE_MM = (PLATE.width_mm, PLATE.height_mm)
@@ -58,6 +59,9 @@ def test_turned_drawing(instrument: Instrument) -> None:
     mirrored = turned_fit(fit, 1)
     assert mirrored.layout.emitter_mm == (SIZE_MM[0] - LAYOUT.emitter_mm[0], LAYOUT.emitter_mm[1])
     assert "mirrored left to right" in mirrored.reasons[0]
+    hole = Scatterer(at_mm=(30.0, 20.0), diameter_mm=8.0, mass_g=-1.0)
+    carrying = replace(fit, layout=fit.layout.model_copy(update={"scatterers": (hole,)}))
+    assert turned_fit(carrying, 2).layout.scatterers[0].at_mm == (30.0, SIZE_MM[1] - 20.0)
     assert turned_fit(fit, 0).reasons == fit.reasons
 
 

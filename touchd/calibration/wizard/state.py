@@ -126,10 +126,11 @@ class State:
 
 
 def to_toml(tables: dict[str, Any]) -> str:
-    """Return tables of numbers, texts, lists and one table within, as PLATE.toml has them."""
+    """Return tables of numbers, texts, lists and one table within, and lists of such, as PLATE.toml has them."""
     lines: list[str] = []
-    for name, table in tables.items():
-        lines.append(f"[{name}]")
+    several = [(f"[[{name}]]", each) for name, value in tables.items() if isinstance(value, list) for each in value]
+    for name, table in [(f"[{name}]", value) for name, value in tables.items() if isinstance(value, dict)] + several:
+        lines.append(name)
         for key, value in table.items():
             if isinstance(value, dict):
                 inner = ", ".join(f"{side} = {json.dumps(held)}" for side, held in value.items())

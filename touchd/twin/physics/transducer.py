@@ -31,6 +31,10 @@ energy on acrylic, where the disc is three quarters of a wavelength and twice as
 1.4."""
 BEAD_M = 1e-3
 """Radius of a bead."""
+CELLS = 7
+"""Parts of a scatterer."""
+LEAST_MASS = 0.05
+"""Share of the plate's mass that a hole leaves of any motion at least."""
 BASIS_HZ = 3.0
 """Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
 KEPT_HZ = 2.0
@@ -40,8 +44,21 @@ BASIS_OF_MANY_HZ, KEPT_OF_MANY_HZ = 1.6, 1.3
 them, as it is soft and lossy."""
 
 
+class Scatterer(BaseModel):
+    """What is glued on the plate or cut out of it: a button, a hole. Waves are scattered by its mass and stiffness."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    at_mm: tuple[float, float]
+    diameter_mm: float = Field(gt=0)
+    mass_g: float = 0.0
+    """Negative where something is cut out, as is the stiffness."""
+    stiffness_n_m: float = 0.0
+    """Resistance to the mean rotation around the rim of a part of it, N m per rad: the same for parts of any size."""
+
+
 class Layout(BaseModel):
-    """Centres and size of the discs."""
+    """Centres and size of the discs, and what else the plate carries."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -60,6 +77,7 @@ class Layout(BaseModel):
     """From each disc's centre, emitter first, to the bead of solder and glue where its cable leaves; empty for none."""
     beads_g: tuple[float, ...] = ()
     """Masses of the beads."""
+    scatterers: tuple[Scatterer, ...] = ()
 
     @property
     def centres_mm(self) -> Floats:
@@ -154,9 +172,32 @@ Sums = Callable[[int, Floats], Floats]
 
 
 def vectors_of(layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums) -> Floats:
-    """Return the means over a layout's discs, as `vectors_at` does."""
+    """Return the means over a layout's discs, as `vectors_at` does, and over its scatterers."""
     beads_m = np.array(layout.beads_mm or 0.0) * 1e-3
-    return vectors_at(layout.centres_mm * 1e-3, beads_m, layout.diameter_mm / 2e3, size_m, counts, sums)
+    discs = vectors_at(layout.centres_mm * 1e-3, beads_m, layout.diameter_mm / 2e3, size_m, counts, sums)
+    others = [
+        scatterer_vectors(1e-3 * np.array(each.at_mm), each.diameter_mm / 2e3, size_m, counts, sums)
+        for each in layout.scatterers
+    ]
+    return np.concatenate([discs, *others], axis=1)
+
+
+def scatterer_vectors(
+    centre_m: Floats, radius_m: float, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums
+) -> Floats:
+    """Return the means over the cells of a scatterer, shape (n, 6 CELLS), mean by mean.
+
+    They are the three rotations around the cell's rim, the deflection, and its moments. A scatterer is moved inwards
+    where it would reach over the edge.
+    """
+    size, radius_m = np.array(size_m), min(radius_m, 0.45 * min(size_m))
+    centre_m = np.clip(centre_m, 1.1 * radius_m, size - 1.1 * radius_m)
+    around = 2 * np.pi * np.arange(CELLS - 1) / (CELLS - 1)
+    # One in the middle, the others about it, so that they have the disc's area and second moment.
+    ring = np.sqrt(0.5) * np.stack([np.cos(around), np.sin(around)], axis=1)
+    cells_m = centre_m + radius_m * np.concatenate([np.zeros((1, 2)), ring])
+    means = vectors_at(cells_m, np.zeros(2), radius_m / np.sqrt(CELLS), size_m, counts, sums)
+    return means.reshape(len(means), MEANS, CELLS)[:, [0, 1, 2, 3, 6, 7]].reshape(len(means), -1)
 
 
 def vectors_at(
@@ -188,23 +229,41 @@ def with_discs(omega_rad_s: Floats, vectors: Floats, layout: Layout, below_hz: f
 
     `vectors` are those of `vectors_at`.
     """
-    outward, other_1, other_2, mean, *rolls, slope_x, slope_y, bead = np.split(vectors, MEANS, axis=1)
-    # M = 1 + B B'; its inverse root differs from 1 only in the span of B.
+    discs, others = np.split(vectors, [len(layout.centres_mm) * MEANS], axis=1)
+    scatterers = others.reshape(len(others), len(layout.scatterers), 6, CELLS).transpose(1, 0, 2, 3)
+    outward, other_1, other_2, mean, *rolls, slope_x, slope_y, bead = np.split(discs, MEANS, axis=1)
     lever, tilt = layout.lever_mm * 1e-3, np.sqrt(layout.spread)
     moved = [mean, *(lever * roll for roll in rolls if lever), *(tilt * slope for slope in (slope_x, slope_y) if tilt)]
-    B = np.concatenate(moved, axis=1) * np.sqrt(layout.mass_g * 1e-3)
-    if layout.beads_g:
-        B = np.concatenate([B, bead * np.sqrt(np.array(layout.beads_g) * 1e-3)], axis=1)
-    U, sigma, _ = np.linalg.svd(B, full_matrices=False)
-    root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
+    heavy = [(np.concatenate(moved, axis=1), layout.mass_g)]
+    heavy += [(bead[:, [k]], mass_g) for k, mass_g in enumerate(layout.beads_g)]
+    cells = list(zip(scatterers, layout.scatterers, strict=True))
+    heavy += [(own[:, 3:].reshape(len(own), -1), each.mass_g / CELLS) for own, each in cells]
+    bending = np.sqrt([1.0, OTHER_BENDING, OTHER_BENDING])
+    rims = np.stack([outward, other_1, other_2], axis=2) * bending  # (n, D, 3)
+    stiff = [(rims[:, k], each) for k, each in enumerate(layout.stiffnesses_n_m)]
+    stiff += [((own[:, :3] * bending[:, None]).reshape(len(own), -1), each.stiffness_n_m) for own, each in cells]
+    B, masses = _weighed([(part, 1e-3 * mass_g) for part, mass_g in heavy])
+    # M = 1 + B m B'; its inverse root differs from 1 only in the span of B.
+    Q, R = np.linalg.qr(B)
+    changes, W = np.linalg.eigh((R * masses) @ R.T)
+    U = Q @ W
+    root = (U * (np.maximum(1 + changes, LEAST_MASS) ** -0.5 - 1)) @ U.T
     root[np.diag_indices(len(root))] += 1
     stiffness = (root * omega_rad_s**2) @ root
-    if layout.stiffnesses_n_m:
-        bent = np.concatenate([outward, *(np.sqrt(OTHER_BENDING) * other for other in (other_1, other_2))], axis=1)
-        stiffened = root @ bent * np.tile(np.sqrt(layout.stiffnesses_n_m), 3)
-        stiffness += stiffened @ stiffened.T
+    if stiff:
+        bent, springs = _weighed(stiff)
+        stiffened = root @ bent
+        stiffness += (stiffened * springs) @ stiffened.T
     squared, V = np.linalg.eigh(stiffness)
     omega = np.sqrt(np.maximum(squared, 0.0))
     omega[:3] = 0.0  # the rigid motions stay
     V = (root @ V[:, omega < 2 * np.pi * below_hz]).T
     return omega[: len(V)], V
+
+
+def _weighed(parts: list[tuple[Floats, float]]) -> tuple[Floats, Floats]:
+    """Join vectors, each (n, k) with one weight: (n, m) and (m,)."""
+    return (
+        np.concatenate([part for part, _ in parts], axis=1),
+        np.concatenate([np.full(part.shape[1], weight) for part, weight in parts]),
+    )

@@ -87,6 +87,8 @@ def test_toml() -> None:
     """Texts with quotes, edges of their own and numbers survive."""
     tables = {"plate": {"material": 'a "b" \\', "edge": {"left": "tape", "top": "free"}, "width_mm": 1e2}}
     assert tomllib.loads(to_toml(tables)) == tables
+    several = tables | {"scatterers": [{"at_mm": [12.0, 3.5], "diameter_mm": 8.0}, {"at_mm": [1, 2], "diameter_mm": 4}]}
+    assert tomllib.loads(to_toml(several)) == several
 
 
 def test_unknown_command(tmp_path: Path) -> None:
