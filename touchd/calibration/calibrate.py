@@ -147,7 +147,10 @@ def write_calibration_report(fitted: Fitted, made: Calibrated | None, path: Path
     if made is not None:
         told = (made.refined.placed_mm, made.refined.scatter_mm) if made.refined else ()
         error_mm = ErrorMap(made.atlas, made.fitted.noise_counts, widths_of(made.fitted.fit), GRID).after(*told)
-        pictures["expected-error.png"] = draw_expected(fitted.fit.plate, {"": (error_mm, fitted.fit.layout.centres_mm)})
+        picture = draw_expected(fitted.fit.plate, {"": (error_mm, fitted.fit.layout.centres_mm)})
+        for each in fitted.fit.layout.scatterers:
+            picture.axes[0].plot(*each.at_mm, "x", color="white", markersize=10, markeredgewidth=2)
+        pictures["expected-error.png"] = picture
     text = render(
         TEMPLATE, name=path.name, fitted=fitted, fit=fitted.fit, made=made, pictures=list(pictures),
         error_mm=None if error_mm is None else np.percentile(error_mm, (50, 95, 100)).tolist(),

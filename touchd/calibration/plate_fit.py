@@ -163,7 +163,9 @@ def _fit(
     measured, p = untouched.mean, state.p
     fitted = model.signals(p, state.fitted.gains)
     parameters = _parameters(reader, state)
-    plate, guess = reader.plate(p), reader.read(p)
+    plate, guess, layout = reader.plate(p), reader.read(p), reader.layout(p)
+    if layout.scatterers:
+        found = tuple(what.format(at_mm=layout.scatterers[-1].at_mm) for what in found)
     energy = np.where(untouched.dead, np.nan, (measured**2).sum(axis=1))
     left = ((measured - fitted) ** 2).sum(axis=1) / energy
     noise_share = float(np.nanmean(untouched.noise**2 * measured.shape[1] / energy))
@@ -187,7 +189,7 @@ def _fit(
     # Those of the fit belong to modes per mass of the plate.
     gains = stiffness_of(plate).mass * plate.width_mm * plate.height_mm * 1e-6 * state.fitted.gains
     fit = PlateFit(
-        plate=plate, layout=reader.layout(p), acquisition=untouched.acquisition, loss=guess.loss, gains=gains,
+        plate=plate, layout=layout, acquisition=untouched.acquisition, loss=guess.loss, gains=gains,
         parameters=parameters, **vars(judgement),
         scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
         measured=measured, fitted=fitted, basis=model.plate, edges=guess.edges,

@@ -22,6 +22,11 @@ LEAST_SHARE, RIVAL = 0.1, 1.5
 buttons explain 0.17 to 0.34, 1.8 to 3.5 times the next; tape that nobody told of, clamps and ribs 0.15, 1.3 times."""
 PLACE_MM = 3.0
 """Standard deviation of a place found so."""
+WHAT = (
+    "something at ({at_mm[0]:.0f}, {at_mm[1]:.0f}) mm scatters waves, as a hole or a button does: "
+    "say so in PLATE.toml ([[scatterers]]), or take it off"
+)
+"""For a person, once the fit tells where."""
 _AT_ONCE = 400
 
 
@@ -38,12 +43,8 @@ def scatterers(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
         return []
     x_mm, y_mm = places_mm[best].tolist()
     found = ScattererSaid(at_mm=(x_mm, y_mm), diameter_mm=round(wave_mm / 2, 1), uncertainty_mm=PLACE_MM)
-    what = (
-        f"something at ({x_mm:.0f}, {y_mm:.0f}) mm scatters waves, as a hole or a button does: "
-        "say so in PLATE.toml ([[scatterers]]), or take it off"
-    )
     more = said.model_copy(update={"scatterers": (*said.scatterers, found)})
-    return [Candidate(more, what, float(1 - shares[best]))]
+    return [Candidate(more, WHAT, float(1 - shares[best]))]
 
 
 def _grid(width_mm: float, height_mm: float, step_mm: float) -> Floats:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from touchd.sources.open import SourceChoice
 
 _STEPS = 100
+JOINTS = ("disc stiffer", "disc bead")
+"""Names of parameters that the report alone shows begin so: there are four a disc."""
 
 
 @click.command()
@@ -153,6 +155,8 @@ def _text(found: dict[str, Any], page: str) -> str:
     lines += [f"  {reason}" for reason in found["reasons"]]
     lines.append(f"  {'':23} {'said, usual':>11} {'fitted':>10} {'+-':>9}")
     for p in found["parameters"]:
+        if p["name"].startswith(JOINTS) and found["report"]:
+            continue
         late = "  further off than expected" if p["at_prior"] else ""
         lines.append(
             f"  {p['name']:23} {p['said']:11.5g} {p['fitted']:10.5g} {p['standard_error']:9.2g} {p['unit']}{late}"
