@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -140,18 +140,22 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
             "no channel hears the chirp", "recording", "check the emitter's cable and amplifier, and record again"
         )
     fit, state = _fit(said, recording_mean, lambda share: progress("fit", share))
-    left, others = fit.left, list[Candidate]()
-    if left > USABLE_LEFT:
-        others = candidates(said, recording_mean)
-    if left > GOOD_LEFT:
-        others += scatterers(said, recording_mean, state, fit.basis)
-        others += soft_edges(said, recording_mean, state, fit.basis)
-    for candidate in others:
+    for candidate in _others(said, recording_mean, fit, state):
         other, _ = _fit(candidate.said, recording_mean, lambda share: progress("candidates", share), candidate.what)
         if other.unexplained < min(HALF * fit.unexplained, USABLE_LEFT):
             return other
     progress("fit", 1.0)
     return fit
+
+
+def _others(said: PlateFile, untouched: Untouched, fit: PlateFit, state: State) -> Iterator[Candidate]:
+    """Yield other plates to try, the likeliest first; each is looked for when those before do not fit."""
+    if fit.left > USABLE_LEFT:
+        yield from candidates(said, untouched)
+    if fit.left > GOOD_LEFT:
+        yield from scatterers(said, untouched, state, fit.basis)
+    if USABLE_LEFT >= fit.left > GOOD_LEFT:
+        yield from soft_edges(said, untouched, state, fit.basis)
 
 
 def _fit(

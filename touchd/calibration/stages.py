@@ -43,6 +43,8 @@ simulator Poisson's ratio was off by seven times what a twentieth tells."""
 CONVERGED = 0.02
 """A step smaller than this share of each standard error ends the fit."""
 HALVINGS = 4
+HOPELESS = 0.4
+"""A fit that leaves this share of the energy is another plate's: its discs' joints tell nothing."""
 
 
 class Fitted(NamedTuple):
@@ -245,6 +247,8 @@ def run_stages(
         model = _model_near(reader, state.p, untouched)
     progress(0.8)
     state = descend(model, state.p, (*PLATE, *DISCS, *edges, *places), WHOLE, 8)
+    if state.left > HOPELESS * np.square(model.measured).sum():
+        return state, model
     return descend(model, state.p, (*state.names, *reader.joints), WHOLE, 8), model
 
 
