@@ -251,7 +251,7 @@ HOLE = missing(TRUE, 0.9, x_mm=50.0, y_mm=30.0, half_x_mm=6.0, half_y_mm=6.0)
 
 
 def test_a_hole(tmp_path: Path) -> None:
-    """A hole that nobody told of is found, to a millimetre; the plate is not good until it is said.
+    """A hole that PLATE.toml does not name is found, to a millimetre; named, it leaves the plate good.
 
     Standard errors know how wrong places are, beside the hole, too.
     """

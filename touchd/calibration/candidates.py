@@ -42,7 +42,7 @@ class Candidate(NamedTuple):
 
     said: PlateFile
     what: str
-    """For a person: what fits instead of what was said."""
+    """For a person: what fits instead of what was said. `{at_mm}` stands for the place of the last scatterer fitted."""
     left: float
     """Share of the first arrivals' energy that it leaves."""
 

@@ -62,11 +62,10 @@ class DiscResponse:
             np.repeat([1, other, other, 0, 0, 0], CELLS),
         )
         self._per_scatterer = inert * by_mass, spring * by_stiffness
-        for *_, mass, stiffness in discs.scatterers:
-            heavy, stiff_one = mass * self._per_scatterer[0], stiffness * self._per_scatterer[1]
-            self._stiff_load = np.concatenate([self._stiff_load, stiff_one], axis=1)
-            own = heavy + stiff_one
-            self._disc_load = np.concatenate([self._disc_load, own], axis=1)
+        springs = [stiffness * self._per_scatterer[1] for stiffness in discs.scatterers[:, 4]]
+        masses = [mass * self._per_scatterer[0] for mass in discs.scatterers[:, 3]]
+        self._stiff_load = np.concatenate([self._stiff_load, *springs], axis=1)
+        self._disc_load = np.concatenate([self._disc_load, *map(np.add, masses, springs)], axis=1)
         self._held = self._disc_load.shape[1]
         self._load = self._disc_load  # (F, V)
         self._per_edge: dict[str, Complex] = {}

@@ -19,7 +19,7 @@ PER_WAVE = 5.0
 """Places tried per wavelength, along each axis."""
 LEAST_SHARE, RIVAL = 0.1, 1.5
 """A scatterer explains this share of what a fit leaves, and this many times what any place a wave away does. Holes and
-buttons explain 0.17 to 0.34, 1.8 to 3.5 times the next; tape that nobody told of, clamps and ribs 0.15, 1.3 times."""
+buttons explain 0.17 to 0.34, 1.8 to 3.5 times the next; tape that is not said, clamps and ribs 0.15, 1.3 times."""
 PLACE_MM = 3.0
 """Standard deviation of a place found so."""
 WHAT = (
@@ -27,7 +27,6 @@ WHAT = (
     "say so in PLATE.toml ([[scatterers]]), or take it off"
 )
 """For a person, once the fit tells where."""
-_AT_ONCE = 400
 
 
 def scatterers(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPlate) -> list[Candidate]:
@@ -35,8 +34,7 @@ def scatterers(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
     model = UntouchedModel(plate, Reader(said, untouched.acquisition), untouched)
     p, wave_mm = said.plate, wavelength_mm(said.twin_plate(), untouched.acquisition.chirp)
     places_mm = _grid(p.width_mm, p.height_mm, wave_mm / PER_WAVE)
-    parts = np.array_split(places_mm, np.ceil(len(places_mm) / _AT_ONCE))
-    shares = np.concatenate([model.explained_by_mass(state.p, 1e-3 * part) for part in parts])
+    shares = model.explained_by_mass(state, 1e-3 * places_mm)
     best = int(shares.argmax())
     away = np.linalg.norm(places_mm - places_mm[best], axis=1) > wave_mm
     if shares[best] < max(LEAST_SHARE, RIVAL * shares[away].max(initial=0.0)):

@@ -43,6 +43,8 @@ simulator Poisson's ratio was off by seven times what a twentieth tells."""
 CONVERGED = 0.02
 """A step smaller than this share of each standard error ends the fit."""
 HALVINGS = 4
+_AT_ONCE = 400
+"""Places that are tried at once for what scatters there: their waves stay in cache."""
 HOPELESS = 0.4
 """A fit that leaves this share of the energy is another plate's: its discs' joints tell nothing."""
 
@@ -123,19 +125,22 @@ class UntouchedModel:
                 found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
         return found
 
-    def explained_by_mass(self, p: Floats, places_m: Floats) -> Floats:
-        """Return the share of what a vector's fit leaves that a small mass at each place (n, 2) explains, (n,)."""
-        response, fitted = self._response(p), self.fit(p, np.ones(self.measured.shape[1]))
-        answers = response.at(places_m)  # (D, n, F)
-        basis = self._basis(response.untouched()[:, None] * self._emission)
-        met, energy = np.zeros((2, len(places_m)))
-        for c, (B, left) in enumerate(zip(basis, fitted.residual, strict=True)):
-            Q = np.linalg.qr(B.T)[0]
-            waves = self._to_time(self.nu_rad_s**2 * answers[0] * answers[c + 1] * (fitted.gains[c] @ self._emission))
-            waves -= (waves @ Q) @ Q.T  # what a gain would do
-            met += waves @ left
-            energy += np.square(waves).sum(axis=1)
-        return np.asarray(met**2 / energy / np.square(fitted.residual).sum())
+    def explained_by_mass(self, state: State, places_m: Floats) -> Floats:
+        """Return the share of what a fit of the whole frame leaves that a small mass at each place (n, 2) explains."""
+        response, residual = self._response(state.p), state.fitted.residual
+        basis = [np.linalg.qr(B.T)[0] for B in self._basis(response.untouched()[:, None] * self._emission)]
+        heard = self.nu_rad_s**2 * (state.fitted.gains @ self._emission)  # (R, F)
+        shares = []
+        for part in np.array_split(places_m, np.ceil(len(places_m) / _AT_ONCE)):
+            emitter, *receivers = response.at(part)  # each (n, F)
+            met, energy = np.zeros((2, len(part)))
+            for receiver, spectrum, Q, left in zip(receivers, heard, basis, residual, strict=True):
+                waves = self._to_time(emitter * receiver * spectrum)
+                waves -= (waves @ Q) @ Q.T  # what a gain would do
+                met += waves @ left
+                energy += np.square(waves).sum(axis=1)
+            shares.append(met**2 / energy)
+        return np.asarray(np.concatenate(shares) / np.square(residual).sum())
 
     def _response(self, p: Floats) -> DiscResponse:
         return DiscResponse(self.plate, self.reader.read(p), self.nu_rad_s, self._lines)

@@ -221,7 +221,7 @@ def take_crosses(
 ) -> list[Touched]:
     """Take a touch at each cross; `due` is called with the next one, for the page.
 
-    Its `at` is None when the daemon has been silent for `silent_s`.
+    After `silent_s` without a word of the daemon its `at` is None.
 
     Raises Stopped if `stop` was set; CalibrationError if the plate is a keypad.
     """
