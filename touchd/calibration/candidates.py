@@ -16,8 +16,9 @@ from touchd.calibration.loads import SIDES
 from touchd.calibration.parameters import Reader, held_sides
 from touchd.calibration.plate_file import Edges, PlateFile
 from touchd.calibration.reduced_plate import Floats, ReducedPlate
-from touchd.calibration.stages import WHOLE, State, UntouchedModel, descend, window_of
+from touchd.calibration.stages import WHOLE, State, descend, window_of
 from touchd.calibration.untouched import Untouched
+from touchd.calibration.untouched_model import UntouchedModel
 from touchd.twin.physics.material import MATERIALS
 
 THICKNESSES_MM = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)

@@ -17,7 +17,7 @@ from touchd.calibration.physical_atlas import spectra_to_bins
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import EXACT
 from touchd.calibration.reduced_plate import Complex, Floats
-from touchd.calibration.stages import emission
+from touchd.calibration.untouched_model import emission
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Acquisition
 from touchd.training.field.bins import TAPER

@@ -12,8 +12,9 @@ from touchd.calibration.candidates import Candidate
 from touchd.calibration.parameters import Reader, wavelength_mm
 from touchd.calibration.plate_file import PlateFile, ScattererSaid
 from touchd.calibration.reduced_plate import Floats, ReducedPlate
-from touchd.calibration.stages import State, UntouchedModel
+from touchd.calibration.stages import State
 from touchd.calibration.untouched import Untouched
+from touchd.calibration.untouched_model import UntouchedModel
 
 PER_WAVE = 5.0
 """Places tried per wavelength, along each axis."""
@@ -34,7 +35,7 @@ def scatterers(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
     model = UntouchedModel(plate, Reader(said, untouched.acquisition), untouched)
     p, wave_mm = said.plate, wavelength_mm(said.twin_plate(), untouched.acquisition.chirp)
     places_mm = _grid(p.width_mm, p.height_mm, wave_mm / PER_WAVE)
-    shares = model.explained_by_mass(state, 1e-3 * places_mm)
+    shares = model.explained_by_mass(state.p, state.fitted, 1e-3 * places_mm)
     best = int(shares.argmax())
     away = np.linalg.norm(places_mm - places_mm[best], axis=1) > wave_mm
     if shares[best] < max(LEAST_SHARE, RIVAL * shares[away].max(initial=0.0)):

@@ -1,0 +1,142 @@
+"""From a vector of unknowns to the untouched signals, their derivatives, and what a small mass would change.
+
+Each channel's gain is eliminated.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from touchd.calibration.disc_response import DiscResponse
+from touchd.calibration.loads import lines_along
+from touchd.calibration.parameters import Reader
+from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
+from touchd.calibration.untouched import Untouched
+from touchd.frame import Acquisition
+from touchd.twin.instrument import anti_alias
+from touchd.twin.record import Record
+
+GAIN_TERMS = 3
+"""Coefficients of a channel's complex gain in powers of the band."""
+_RIDGE = 1e-6
+"""Of the gains' normal equations: a channel cannot have a gain where the plate has no response."""
+_AT_ONCE = 400
+"""Places that are tried at once for what scatters there: their waves stay in cache."""
+
+
+class Fitted(NamedTuple):
+    """A vector's misfit: R channels, S samples, P parameters."""
+
+    residual: Floats
+    """Measured less fitted, shape (R, S), weighted by the window."""
+    gains: Complex
+    """Shape (R, GAIN_TERMS)."""
+    slopes: Floats
+    """Derivative of the residual by the active parameters, shape (P, R, S); without gains' freedom."""
+
+
+def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
+    """Map frequencies to -1 .. 1 over the chirp's band; beyond it to at most 1.3."""
+    low, high = acquisition.chirp.band_hz
+    return np.asarray(np.clip((frequency_hz - (low + high) / 2) / ((high - low) / 2), -1.3, 1.3))
+
+
+def emission(acquisition: Acquisition, nu_rad_s: Complex) -> Complex:
+    """Return the spectrum of the chirp behind the anti-alias filter, shape (F,)."""
+    return acquisition.chirp.spectrum(nu_rad_s) * anti_alias(nu_rad_s, acquisition.sample_rate_hz)
+
+
+class UntouchedModel:
+    """Maps vectors of unknowns to the untouched signals; without `edges` none is held, at a third of the cost."""
+
+    def __init__(self, plate: ReducedPlate, reader: Reader, untouched: Untouched, *, edges: bool = True) -> None:
+        a = untouched.acquisition
+        self.plate, self.reader, self.untouched = plate, reader, untouched
+        self.measured: Floats = np.where(untouched.dead[:, None], 0.0, untouched.mean)
+        """The measured frame, zero where a channel is dead, shape (R, S)."""
+        self.noise: Floats = np.maximum(untouched.noise, 1e-5 * np.sqrt((self.measured**2).mean()))
+        """Its standard errors, shape (R,)."""
+        self._lines = lines_along(plate, reader.held) if edges and reader.held else None
+        record = Record(a)
+        self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
+        x, emitted = band(a, record.hz), emission(a, self.nu_rad_s)
+        self._emission = np.stack([emitted * x**k for k in range(GAIN_TERMS)])  # (K, F)
+
+    def fit(self, p: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
+        """Return a vector's misfit in samples weighed by `window` (S,), and its derivatives by `active` unknowns."""
+        response = self._response(p)
+        heard = response.untouched()
+        scale = np.sqrt(np.mean(np.abs(heard) ** 2))
+        basis = self._basis(heard[:, None] * self._emission / scale) * window  # (R, 2 K, S)
+        chain = self.reader.chain(p)
+        by_name = response.slopes({chain[name][0] for name in active})
+        changes = [by_name[chain[name][0]] * (chain[name][1] / scale) for name in active]
+        y = self.measured * window
+        gains = np.empty((len(y), GAIN_TERMS), dtype=complex)
+        residual, slopes = np.empty_like(y), np.empty((len(active), *y.shape))
+        for c, B in enumerate(basis):
+            normal = B @ B.T
+            normal[np.diag_indices(len(normal))] += _RIDGE * np.trace(normal) / len(normal)
+            solver = np.linalg.solve(normal, B)
+            found = solver @ y[c]
+            residual[c] = y[c] - found @ B
+            gains[c] = found[:GAIN_TERMS] + 1j * found[GAIN_TERMS:]
+            if active:
+                moved = self._to_time(np.stack([change[c] for change in changes]) * (gains[c] @ self._emission))
+                moved *= window
+                slopes[:, c] = (moved @ solver.T) @ B - moved
+        return Fitted(residual, gains / scale, slopes)
+
+    def pair_misfits(self, p: Floats, window: Floats) -> Floats:
+        """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
+        between = self._response(p).between()
+        D, y = len(between), self.measured * window
+        found = np.ones((D, D, len(y)))
+        energy = np.maximum((y**2).sum(axis=1), np.finfo(float).tiny)
+        for one in range(D):
+            for other in range(one):
+                B = self._basis(between[one, other] * self._emission) * window
+                Q = np.linalg.qr(B.T)[0]
+                found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
+        return found
+
+    def explained_by_mass(self, p: Floats, fitted: Fitted, places_m: Floats, from_m: Floats | None = None) -> Floats:
+        """Return the share of what a fit of the whole frame leaves that a small mass at each place (n, 2) explains.
+
+        It may be negative: a hole. With `from_m` (2,) it is a mass, and there now.
+        """
+        response, residual = self._response(p), fitted.residual
+        size_m = np.array(self.reader.read(p).shape[-2:])
+        places_m = np.clip(places_m, 0.0, size_m)
+        there = None if from_m is None else response.at(np.clip(from_m[None], 0.0, size_m))
+        basis = [np.linalg.qr(B.T)[0] for B in self._basis(response.untouched()[:, None] * self._emission)]
+        heard = self.nu_rad_s**2 * (fitted.gains @ self._emission)  # (R, F)
+        shares = []
+        for part in np.array_split(places_m, np.ceil(len(places_m) / _AT_ONCE)):
+            emitter, *receivers = response.at(part)  # each (n, F)
+            met, energy = np.zeros((2, len(part)))
+            for k, (receiver, spectrum, Q, left) in enumerate(zip(receivers, heard, basis, residual, strict=True), 1):
+                change = emitter * receiver
+                if there is not None:
+                    change = change - there[0] * there[k]
+                waves = self._to_time(change * spectrum)
+                waves -= (waves @ Q) @ Q.T  # what a gain would do
+                met += waves @ left
+                energy += np.square(waves).sum(axis=1)
+            if there is not None:
+                met = np.maximum(met, 0.0)
+            shares.append(met**2 / np.maximum(energy, np.finfo(float).tiny))
+        return np.asarray(np.concatenate(shares) / np.square(residual).sum())
+
+    def _response(self, p: Floats) -> DiscResponse:
+        return DiscResponse(self.plate, self.reader.read(p), self.nu_rad_s, self._lines)
+
+    def _basis(self, waves: Complex) -> Floats:
+        """Return the signals of waves (..., K, F) and of i times these, shape (..., 2 K, S)."""
+        return np.concatenate([self._to_time(waves), self._to_time(1j * waves)], axis=-2)
+
+    def signals(self, p: Floats, gains: Complex) -> Floats:
+        """Return the signals (R, S) of a vector with given gains (R, GAIN_TERMS)."""
+        return self._to_time(self._response(p).untouched() * (gains @ self._emission))
