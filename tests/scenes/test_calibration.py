@@ -228,11 +228,18 @@ def test_a_clamped_edge() -> None:
 
 
 def test_a_plastic_plate() -> None:
-    """On acrylic, where a disc is three quarters of a wavelength wide and heavier than the plate, discs are found."""
+    """On acrylic, where a disc is three quarters of a wavelength wide and heavier than the plate, discs are found.
+
+    Solder beside them, nearly half a wavelength from their centres, is looked for: fits that began in the centres left
+    4.9 % of the energy.
+    """
     acrylic = Material(3.25e9, 0.346, 1185.0)
     plate = ElasticPlate(width_mm=60.1, height_mm=46.9, thickness_mm=5.98, elastic=acrylic)
     layout = Layout(emitter_mm=(15.0, 25.0), receivers_mm=((9.0, 8.0), (50.0, 10.0), (51.0, 37.0), (10.0, 38.0)))
-    instrument = Instrument(plate, layout=layout, loss=0.03, modes=other_modes(plate, layout, []))
+    beads = [Patch(x + dx, y + dy, 1.5, 1.5, mass_kg_m2=7.0) for (x, y), (dx, dy) in zip(
+        layout.centres_mm.tolist(), [(-3.6, -3.6), (4.1, -3.1), (0.8, -5.0), (0.8, 5.0), (-1.6, 4.8)], strict=True
+    )]  # fmt: skip
+    instrument = Instrument(plate, layout=layout, loss=0.03, modes=other_modes(plate, layout, beads))
     signal = SCALE * GAINS[:, None] * instrument.untouched([22.0])[0]
     facts = {"young_gpa": 3.3, "poisson": 0.34, "density_kg_m3": 1190}
     asked = check_plate_file({
@@ -244,6 +251,7 @@ def test_a_plastic_plate() -> None:
     })  # fmt: skip
     fit = fit_plate(asked, Untouched(signal, np.full(4, NOISE), FRAMES, instrument.acquisition))
     assert places_off_mm(fit, layout) < 0.15
+    assert fit.unexplained < 0.035
     assert fit.loss.factor == pytest.approx(0.03, rel=0.1)
 
 

@@ -19,6 +19,7 @@ from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.place_correction import widths_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
+from touchd.calibration.soft_face import for_fingers
 from touchd.calibration.start_scan import start_scan
 from touchd.calibration.taps import Refined, orientation_of, refine, taps_of, turned_fit
 from touchd.calibration.untouched import Untouched, untouched_acts, untouched_mean
@@ -114,6 +115,7 @@ def make_model(
         atlas = make_atlas(fitted) if orientation else atlas
         refined = refine(atlas, taps_of(taps, atlas), orientation, widths_of(fitted.fit), progress)
         atlas = refined.atlas
+    atlas = for_fingers(atlas, fitted.fit)
     description = Description(
         name="calibrated", head="regression", domain="frequency", input="residual",
         acquisition=atlas.description.acquisition, plate=atlas.description.plate, taper=atlas.description.taper,

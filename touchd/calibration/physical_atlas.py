@@ -123,14 +123,18 @@ def grid_of(length_mm: float, step_mm: float) -> Grid:
     """Return the nodes and samples along a side, from one node beyond the plate to two beyond."""
     cells = int(np.ceil(length_mm / step_mm))
     first_mm = (length_mm - cells * step_mm) / 2 - step_mm
-    nodes = first_mm + step_mm * np.arange(cells + 4)
+    nodes: Floats = first_mm + step_mm * np.arange(cells + 4, dtype=np.float64)
     outer = (np.arange(_DENSE_CELLS) + 0.5) * step_mm
     samples = np.unique(np.clip(np.concatenate([nodes, nodes[1] + outer, nodes[cells + 1] - outer]), 0.0, length_mm))
-    apart = np.abs(samples[:, None] - nodes) / step_mm
-    near = 2 / 3 - apart**2 + apart**3 / 2
-    values = np.where(apart < 1, near, np.maximum(2 - apart, 0.0) ** 3 / 6)
-    solve = np.linalg.pinv(values, rcond=1e-6)
+    solve = np.linalg.pinv(spline_values(samples, nodes, step_mm), rcond=1e-6)
     return Grid(*(np.asarray(array, np.float64) for array in (nodes, samples, solve)))
+
+
+def spline_values(at_mm: Floats, nodes_mm: Floats, step_mm: float) -> Floats:
+    """Return each node's cubic B-spline at places (...), shape (..., nodes)."""
+    apart = np.abs(at_mm[..., None] - nodes_mm) / step_mm
+    near = 2 / 3 - apart**2 + apart**3 / 2
+    return np.asarray(np.where(apart < 1, near, np.maximum(2 - apart, 0.0) ** 3 / 6))
 
 
 def coefficients_of(values: Complex, x: Grid, y: Grid) -> Array:

@@ -37,8 +37,8 @@ fingertips differ (twin)."""
 GOOD_MM, USABLE_MM = 0.2, 1.0
 """Largest expected error of a good and a usable fit, mm."""
 FINGER_MM = 12.0
-"""Width of an adult's fingertip. At a shorter wave it is no longer like a point with a shape: with waves of 10.8 mm
-27 % were missed in single frames, with 21 mm none (twin, acrylic)."""
+"""Width of an adult's fingertip. With waves of 10.8 mm one in thirty is miscounted in single frames, with 13 mm none
+(twin, acrylic)."""
 CLAMPED_MM = 0.7
 """Error of places beside a clamped edge: its depth trades off against the plate's sides (twin)."""
 NEAR_FIELD = 0.08
@@ -255,7 +255,7 @@ def judge(
     short = wavelength_mm < FINGER_MM
     if short:
         reasons.append(
-            f"waves of {wavelength_mm:.0f} mm are shorter than a fingertip is wide, and adults' touches get lost: "
+            f"waves of {wavelength_mm:.0f} mm are shorter than a fingertip is wide, and some touches get lost: "
             "chirp at lower frequencies, or take a thicker pane"
         )
     good = (

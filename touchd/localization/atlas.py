@@ -59,6 +59,8 @@ class AtlasDescription(BaseModel):
     noise_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
     field_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
     """How much larger the errors of held-out touches are than white noise, and the field's own error, explain."""
+    face_mm: float = Field(default=0.0, ge=0, le=10)
+    """Standard deviation, along x and y, of the face over which the field is a mean; 0 of a small contact's."""
     touches: int = Field(default=0, ge=0)
     """How many it was learned from."""
     wavenumber_rad_m: tuple[float, ...] = ()

@@ -46,6 +46,9 @@ LAG_RAD = -1.2
 """A finger lags by less. Human fingers lag by up to 0.4 rad (twin)."""
 CLEAR_RAD, CLEAR_SIZE, CLEAR_SIGMAS = 0.3, 0.5, 4.0
 """Drops of such an amplitude lead by 0.45 rad or more at `USUAL_HZ` (twin)."""
+MOST_SIZE = 1.0
+"""On waves about as short as a finger is wide the plate is light, and its own yield limits by how much a large contact
+lags: it need not lag by more than one of this amplitude."""
 DEPARTURE_RAD = 2.0
 """An amplitude this far from a finger's has the opposite sign."""
 CORNER_MM = 12.0
@@ -79,6 +82,7 @@ class Classifier:
         # Of a standard error noise stays in a lower band, and what the field misses goes with the frequency. By the
         # root two fingertips are clear at 48 kHz as they land, and 7 of 60 drops of 110 mm^2; in proportion 15 (twin).
         self._clear_sigmas = CLEAR_SIGMAS * math.sqrt(self._frequency_ratio)
+        self._most_size = MOST_SIZE if d.face_mm else math.inf
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
         self.sure = True
@@ -135,7 +139,7 @@ class Classifier:
                 if several and known is not None and known.state is State.WATER and energy > 0:
                     # What the fit leaves may be of a drop that it lacks, which turns the phases of the others.
                     by_error = max(by_error, LACKING * math.sqrt(max(fit.residual_energy - noise_energy, 0.0) / energy))
-                look = Look(lag_rad, by_noise, by_error, size, self._frequency_ratio)
+                look = Look(lag_rad, by_noise, by_error, min(size, self._most_size), self._frequency_ratio)
                 if alone:
                     if (odds := look.log_odds()) <= SURE_ALONE:
                         continue

@@ -28,10 +28,10 @@ import numpy as np
 from msgspec import Struct
 
 from touchd.localization.atlas import Atlas, AtlasDescription
-from touchd.localization.fit import Bins, Fit
+from touchd.localization.fit import Bins, Fit, shapes_of
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
-from touchd.localization.spline import Position, Spline
+from touchd.localization.spline import ContactField, Position, Shape, Spline
 
 USUAL_HZ = 67.5e3
 """Mean frequency of the bins that phases are stated for. They are delays: in other bins they change in proportion."""
@@ -61,6 +61,10 @@ WATER_NS, FINGER_NS = 10_000_000_000, 100_000_000
 """A contact is remembered for so long after it was seen."""
 MOST = 16
 """Contacts remembered: more are a wet plate, on which nothing can be told apart."""
+FAINT, SMALL, SHAPES_TELL = 0.4, 1.0, 0.005
+"""On short waves contacts of a smaller amplitude than the first are points. Others have the phase of their fitted shape
+where the field errs by less than this share, or where they are small; elsewhere shapes err more than faces differ
+(twin: acrylic at 50 to 100 kHz)."""
 MASS_LEAD_S = 1.47e-6
 """By which a mass leads a silicone tip of 20 mm^2, the middle of the training's (piston on a half-space)."""
 SILENT_SHARE = 0.9
@@ -100,6 +104,11 @@ class MassPhase:
         self._parts = a.channels, 2, len(d.bins)
         self._rows = np.zeros((3, atlas.size), atlas.coefficients.dtype)
         self._spline = Spline(atlas, self._rows)
+        self._faces = ContactField(atlas, self._rows) if d.face_mm else None
+        moment_mm2 = complex(-(d.face_mm**2) / 2)
+        self._small: Shape = (0j, moment_mm2, moment_mm2, 0j)
+        power = float(np.square(atlas.coefficients, dtype=np.float64).mean()) * 2
+        self._by_shape = float(atlas.error.mean()) < SHAPES_TELL * power
         self._turn = np.exp(2j * np.pi * MASS_LEAD_S * np.array(d.bins) * a.sample_rate_hz / a.samples)
 
     def lag_rad(self, bins: Bins, fit: Fit, k: int) -> tuple[float, float]:
@@ -108,7 +117,7 @@ class MassPhase:
         Both are 0 of a contact without energy.
         """
         left = self._solver.residual(bins, fit, without=k)  # without the bins that are left out
-        self._spline.at(*fit.positions_mm[k])
+        self._look_up(fit, k)
         real, imaginary = self._rows[0].reshape(2, *self._parts[::2])
         mass = (real + 1j * imaginary) * self._turn
         rows = np.empty((2, *self._parts))
@@ -126,6 +135,19 @@ class MassPhase:
         s, t = -amplitude.imag / abs(amplitude), amplitude.real / abs(amplitude)
         across = (c * s * s - 2 * b * s * t + a * t * t) / det
         return -cmath.phase(amplitude), 1 / (energy * across)
+
+    def _look_up(self, fit: Fit, k: int) -> None:
+        """Look up the field of contact `k`: of a face where that is wide and fitted well, else of a small contact.
+
+        Where the field is one of a wide contact, a small one has its second derivatives.
+        """
+        at, size = fit.positions_mm[k], abs(fit.amplitudes[k])
+        if self._faces and size < FAINT:
+            self._faces.of_shape(*at, self._small)
+        elif self._faces and fit.shapes and (self._by_shape or size < SMALL):
+            self._faces.of_shape(*at, shapes_of(fit)[k])
+        else:
+            self._spline.at(*at)
 
 
 class Look(NamedTuple):

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from touchd.calibration.calibrate import Fitted, fit_recording, make_model
+from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.place_correction import widths_of
+from touchd.calibration.soft_face import for_fingers
 from touchd.calibration.taps import Taps, refine, taps_of
 from touchd.errors import TouchdError
 from touchd.evaluation.single_frames import TouchedFrames, find_with, see, touched_frames
@@ -73,6 +75,7 @@ def tapped(
     """Score the same touches after 20, 50 and 200 taps, whose labels err by `labels_mm` per axis: means over sets."""
     assert model.atlas is not None
     found: list[dict[str, Any]] = []
+    fit, plain = fitted.fit, make_physical_atlas(fitted.fit, fitted.noise_counts)
     for label_mm in labels_mm:
         drawn = [
             taps_of(simulate_touches(
@@ -85,7 +88,7 @@ def tapped(
             each = []
             for taps in drawn:
                 some = Taps(taps.label_mm[:count], taps.values[:count])
-                atlas = refine(model.atlas, some, 0, widths_of(fitted.fit)).atlas
+                atlas = for_fingers(refine(plain, some, 0, widths_of(fit)).atlas, fit)
                 each.append({finger: scores(model, atlas, touches) for finger, touches in frames.items()})
             means = {
                 finger: {score: float(np.mean([one[finger][score] for one in each])) for score in each[0][finger]}
