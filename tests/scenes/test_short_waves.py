@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.unit.calibration.plates import LAYOUT, basis_of, elastic, exact_fit
+from tests.unit.calibration.plates import basis_of, elastic, exact_fit
 from touchd.calibration.calibrate import Fitted, make_model
 from touchd.calibration.untouched import Untouched
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.frame import Plate
 from touchd.localization.model import Model
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics.transducer import Layout
 from touchd.twin.simulate import simulate_scene, simulate_touches
 
-ACRYLIC = Plate(width_mm=110, height_mm=90, thickness_mm=5, material="pmma")
+ACRYLIC = Plate(width_mm=84, height_mm=68, thickness_mm=5, material="pmma")
+LAYOUT = Layout(emitter_mm=(16, 38), receivers_mm=((9, 9), (75, 14), (65, 59)))
 LOSS = 0.03
 
 
@@ -34,13 +36,14 @@ def model(plate: Instrument, tmp_path_factory: pytest.TempPathFactory) -> Model:
     return make_model(fitted, tmp_path_factory.mktemp("acrylic") / "plate.onnx").model
 
 
-def test_fingertips_are_found(plate: Instrument, model: Model) -> None:
-    """Beside a small contact's field a third of them were miscounted or taken for water."""
+@pytest.mark.parametrize(("finger", "least", "median_mm"), [("fingertip", 99, 0.2), ("thumb", 92, 0.6)])
+def test_adults_fingers_are_found(finger: str, least: int, median_mm: float, plate: Instrument, model: Model) -> None:
+    """Beside a small contact's field two of these fingertips were miscounted, and 44 thumbs, which were 1.2 mm off."""
     assert model.atlas
     assert model.atlas.description.face_mm > 0
-    frames = touched_frames(simulate_touches(100, seed=7, instrument=plate, finger="fingertip"))
+    frames = touched_frames(simulate_touches(100, seed=7, instrument=plate, finger=finger))
     seen = see(find_with(model, model.atlas, frames), frames)
     right = [one for one in seen if len(one.found) == 1]
-    assert len(right) >= 95
+    assert len(right) >= least
     off_mm = [np.hypot(one.found[0].x_mm - one.true_mm[0][0], one.found[0].y_mm - one.true_mm[0][1]) for one in right]
-    assert np.median(off_mm) < 0.3
+    assert np.median(off_mm) < median_mm
