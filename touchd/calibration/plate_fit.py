@@ -37,8 +37,8 @@ fingertips differ (twin)."""
 GOOD_MM, USABLE_MM = 0.2, 1.0
 """Largest expected error of a good and a usable fit, mm."""
 FINGER_MM = 12.0
-"""Width of an adult's fingertip. With waves of 10.8 mm one in thirty is miscounted in single frames, with 13 mm none
-(twin, acrylic)."""
+"""Width of an adult's fingertip. With waves of 10.8 mm 7 % are miscounted in single frames, with 13 mm none (twin,
+acrylic)."""
 CLAMPED_MM = 0.7
 """Error of places beside a clamped edge: its depth trades off against the plate's sides (twin)."""
 NEAR_FIELD = 0.08

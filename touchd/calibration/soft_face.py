@@ -1,10 +1,10 @@
-"""Spread a field over a fingertip's face, where waves are shorter than it is wide.
+"""Spread a field over a fingertip's face, where waves are about as short as it is wide.
 
 A contact's field is that of a small one with second derivatives beside it (`touchd.localization.contact_model`). Where
-a finger is wider than the wave is long, these are a poor start: soft tissue follows the wave, so that its field is the
-mean of the small contact's over its face, and faces differ by little from each other. On acrylic at 50 to 100 kHz waves
-of 11 mm leave of a fingertip, with all amplitudes fitted, 3.3 % of the energy beside a small contact's field and 0.7 %
-beside this one; a silicone tip 0.2 and 0.4 % (twin).
+a finger is nearly as wide as the wave is long, these are a poor start: soft tissue follows the wave, so that its field
+is the mean of the small contact's over its face, and faces differ by little from each other. On acrylic at 50 to 100
+kHz waves of 11 mm leave of a fingertip, with all amplitudes fitted, 3.3 % of the energy beside a small contact's field
+and 0.7 % beside this one; a silicone tip 0.2 and 0.4 % (twin).
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ SHORT_MM = 17.0
 and 3 mm of glass and on 5 and 8 mm of acrylic, silicone tips worse; with waves of 15.6 mm 97 of 100 thumbs instead of
 63 have the right number, with 18.6 mm all have it either way (twin)."""
 FACE_MM = 1.8
-"""Standard deviation of the mean's weights along x and y: half the radius of a finger of 32 mm^2. Of 1 to 3 mm this is
+"""Standard deviation of the mean's weights along x and y: half the radius of a finger of 41 mm^2. Of 1 to 3 mm this is
 about the width at which the worst of child, fingertip and silicone tip leaves least (twin)."""
 _NODE, _WEIGHT = np.polynomial.hermite_e.hermegauss(5)
 
 
 def for_fingers(atlas: Atlas, fit: PlateFit) -> Atlas:
-    """Return a fitted plate's atlas, spread where waves are shorter than a finger is wide."""
+    """Return a fitted plate's atlas, spread where waves are shorter than `SHORT_MM`."""
     return spread(atlas) if wavelength_mm(fit.plate, fit.acquisition.chirp) < SHORT_MM else atlas
 
 

@@ -105,12 +105,13 @@ class UntouchedModel:
     def explained_by_mass(self, p: Floats, fitted: Fitted, places_m: Floats, from_m: Floats | None = None) -> Floats:
         """Return the share of what a fit of the whole frame leaves that a small mass at each place (n, 2) explains.
 
-        It may be negative: a hole. With `from_m` (2,) it is a mass, and there now.
+        The mass may be negative, as a hole's is. With `from_m` (2,) it is positive, and moves to the place from there.
         """
         response, residual = self._response(p), fitted.residual
-        size_m = np.array(self.reader.read(p).shape[-2:])
+        shape = self.reader.read(p).shape
+        size_m = np.array([shape.width, shape.height])
         places_m = np.clip(places_m, 0.0, size_m)
-        there = None if from_m is None else response.at(np.clip(from_m[None], 0.0, size_m))
+        before = response.at(np.clip(from_m[None], 0.0, size_m)) if from_m is not None else np.zeros(1 + len(residual))
         basis = [np.linalg.qr(B.T)[0] for B in self._basis(response.untouched()[:, None] * self._emission)]
         heard = self.nu_rad_s**2 * (fitted.gains @ self._emission)  # (R, F)
         shares = []
@@ -118,15 +119,11 @@ class UntouchedModel:
             emitter, *receivers = response.at(part)  # each (n, F)
             met, energy = np.zeros((2, len(part)))
             for k, (receiver, spectrum, Q, left) in enumerate(zip(receivers, heard, basis, residual, strict=True), 1):
-                change = emitter * receiver
-                if there is not None:
-                    change = change - there[0] * there[k]
-                waves = self._to_time(change * spectrum)
+                waves = self._to_time((emitter * receiver - before[0] * before[k]) * spectrum)
                 waves -= (waves @ Q) @ Q.T  # what a gain would do
                 met += waves @ left
                 energy += np.square(waves).sum(axis=1)
-            if there is not None:
-                met = np.maximum(met, 0.0)
+            met = met if from_m is None else np.maximum(met, 0.0)
             shares.append(met**2 / np.maximum(energy, np.finfo(float).tiny))
         return np.asarray(np.concatenate(shares) / np.square(residual).sum())
 

@@ -63,7 +63,8 @@ class ContactSize:
         self._noise = noise
         self._values = atlas.size
         self._turn = cmath.rect(1.0, -PHASE_RAD)
-        self._spread_mm2 = atlas.description.face_mm**2 / 2
+        # The moment that a contact has where the field is one of a wide face, before any is fitted.
+        self._face_moment_mm2 = atlas.description.face_mm**2 / 2
         self._of_mean, self._of_oval, _ = shape_information(atlas)
 
     def faces(self, fit: Fit) -> list[Face | None]:
@@ -75,7 +76,7 @@ class ContactSize:
         found: list[Face | None] = []
         for position, z, (_, xx, yy, xy) in zip(fit.positions_mm, fit.amplitudes, fit.shapes, strict=True):
             power = abs(z) ** 2
-            moment = (((xx + yy) / (2 * z) + self._spread_mm2) * self._turn).real if power > 0 else 0.0
+            moment = (((xx + yy) / (2 * z) + self._face_moment_mm2) * self._turn).real if power > 0 else 0.0
             of_mean, of_oval = self._of_mean.at(*position), self._of_oval.at(*position)
             sigma = sqrt(of_mean * variance / max(power, 1e-30) + (MEAN_SHARE * moment) ** 2)
             if not moment > TOLD_SIGMAS * sigma:  # asked this way round, so that NaN is not told

@@ -61,10 +61,10 @@ WATER_NS, FINGER_NS = 10_000_000_000, 100_000_000
 """A contact is remembered for so long after it was seen."""
 MOST = 16
 """Contacts remembered: more are a wet plate, on which nothing can be told apart."""
-FAINT, SMALL, SHAPES_TELL = 0.4, 1.0, 0.005
-"""On short waves contacts of a smaller amplitude than the first are points. Others have the phase of their fitted shape
-where the field errs by less than this share, or where they are small; elsewhere shapes err more than faces differ
-(twin: acrylic at 50 to 100 kHz)."""
+POINT_SIZE, SMALL_SIZE, SHAPES_TELL = 0.4, 1.0, 0.005
+"""Amplitudes below which a contact is a point and small, on short waves: a point's phase is that of a point's field, a
+small one's that of its fitted shape, as is every other's where the field errs by less than this share. Elsewhere shapes
+err more than faces differ (twin: acrylic at 50 to 100 kHz)."""
 MASS_LEAD_S = 1.47e-6
 """By which a mass leads a silicone tip of 20 mm^2, the middle of the training's (piston on a half-space)."""
 SILENT_SHARE = 0.9
@@ -106,9 +106,8 @@ class MassPhase:
         self._spline = Spline(atlas, self._rows)
         self._faces = ContactField(atlas, self._rows) if d.face_mm else None
         moment_mm2 = complex(-(d.face_mm**2) / 2)
-        self._small: Shape = (0j, moment_mm2, moment_mm2, 0j)
-        power = float(np.square(atlas.coefficients, dtype=np.float64).mean()) * 2
-        self._by_shape = float(atlas.error.mean()) < SHAPES_TELL * power
+        self._point: Shape = (0j, moment_mm2, moment_mm2, 0j)
+        self._shapes_tell = d.face_mm > 0 and _error_share(atlas) < SHAPES_TELL
         self._turn = np.exp(2j * np.pi * MASS_LEAD_S * np.array(d.bins) * a.sample_rate_hz / a.samples)
 
     def lag_rad(self, bins: Bins, fit: Fit, k: int) -> tuple[float, float]:
@@ -137,17 +136,20 @@ class MassPhase:
         return -cmath.phase(amplitude), 1 / (energy * across)
 
     def _look_up(self, fit: Fit, k: int) -> None:
-        """Look up the field of contact `k`: of a face where that is wide and fitted well, else of a small contact.
-
-        Where the field is one of a wide contact, a small one has its second derivatives.
-        """
+        """Look up the field that tells the phase of contact `k`: the atlas' own, a point's, or that of its shape."""
         at, size = fit.positions_mm[k], abs(fit.amplitudes[k])
-        if self._faces and size < FAINT:
-            self._faces.of_shape(*at, self._small)
-        elif self._faces and fit.shapes and (self._by_shape or size < SMALL):
+        if self._faces and size < POINT_SIZE:
+            self._faces.of_shape(*at, self._point)
+        elif self._faces and fit.shapes and (self._shapes_tell or size < SMALL_SIZE):
             self._faces.of_shape(*at, shapes_of(fit)[k])
         else:
             self._spline.at(*at)
+
+
+def _error_share(atlas: Atlas) -> float:
+    """Return the mean square of the field's error over that of the field."""
+    nodes = atlas.coefficients.reshape(-1)
+    return float(atlas.error.mean()) * nodes.size / (2 * float(nodes @ nodes))
 
 
 class Look(NamedTuple):

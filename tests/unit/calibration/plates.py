@@ -35,14 +35,14 @@ def basis_of(plate: Plate) -> ReducedPlate:
     return ReducedPlate(elastic(plate), 100e3)
 
 
-def exact_fit(instrument: Instrument, loss: float = 5e-3) -> PlateFit:
+def exact_fit(instrument: Instrument, loss_factor: float = 5e-3) -> PlateFit:
     """The twin's own parameters, as if a fit had found them exactly; a touch tells the gain from units to counts."""
     a = instrument.acquisition
     plate = elastic(instrument.plate)
     untouched = PEAK_COUNTS * instrument.untouched([REFERENCE_C])[0]
-    lossy = Loss(loss, 0.0, np.pi * (a.chirp.start_hz + a.chirp.stop_hz))
+    loss = Loss(loss_factor, 0.0, np.pi * (a.chirp.start_hz + a.chirp.stop_hz))
     unit = PlateFit(
-        plate=plate, layout=instrument.layout, acquisition=a, loss=lossy,
+        plate=plate, layout=instrument.layout, acquisition=a, loss=loss,
         gains=np.tile(np.array([1.0, 0, 0], complex), (a.channels, 1)), parameters=(), verdict="good", expected_mm=0.05,
         reasons=(), undecided=(), scale_error=0.0, unexplained=1e-6, noise_share=1e-6, measured=untouched,
         fitted=untouched, basis=basis_of(instrument.plate), edges=Edges({}, {}, 1.0),

@@ -51,7 +51,7 @@ def test_the_error_stays_its_share_of_the_field(atlas: Atlas, wide: Atlas) -> No
     assert wide.error.mean() < atlas.error.mean()
 
 
-def test_only_where_waves_are_shorter_than_a_finger(atlas: Atlas, fit: PlateFit) -> None:
+def test_only_where_waves_are_short(atlas: Atlas, fit: PlateFit) -> None:
     """On 5 mm of glass a fingertip is a point with a shape; on 1 mm of it waves are less than half as long."""
     assert for_fingers(atlas, fit) is atlas
     thin = replace(fit, plate=fit.plate.model_copy(update={"thickness_mm": 1.0}))

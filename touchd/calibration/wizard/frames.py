@@ -221,7 +221,7 @@ def take_crosses(
 ) -> list[Touched]:
     """Take a touch at each cross; `due` is called with the next one, for the page.
 
-    After `silent_s` without a word of the daemon its `at` is None.
+    A step's `at` says None once the daemon has been silent for `silent_s`.
 
     Raises Stopped if `stop` was set; CalibrationError if the plate is a keypad.
     """
