@@ -20,7 +20,7 @@ from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, Reduc
 from touchd.twin.physics import legendre
 from touchd.twin.physics.transducer import CELLS, MEANS, OTHER_BENDING
 
-_PLACE_STEP_M = 1e-6
+_PLACE_STEP_M, _STRETCH_STEP = 1e-6, 1e-3
 ABSENT = 1e-9
 """A vector with this share of its largest value in a class of modes is absent there."""
 
@@ -35,7 +35,7 @@ class DiscResponse:
         self._plate, self._nu, self._lines = plate, nu_rad_s, lines
         self._shape, self._discs, self._loss, self._edges = shape, discs, loss, edges = guess
         self._bare = plate.solve(shape)
-        vectors = disc_vectors(plate, (shape.width, shape.height), discs)
+        vectors = disc_vectors(plate, shape, discs)
         every = np.concatenate([vectors, lines.vectors], axis=1) if lines else vectors
         self._phi = plate.turned(every, self._bare)
         stiff: Complex = np.asarray(1 + 1j * loss.at(nu_rad_s), np.complex128)
@@ -102,7 +102,7 @@ class DiscResponse:
         """Return the derivatives (R, F) by the named parameters.
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
-        `gyration2`, `radius`; of single discs `x0`, `y0`, `x1` .. of the centres, `stiffness 0` .. and, of the beads,
+        `gyration2`, `radius`, `stretch`; of single discs `x0`, `y0`, `x1` .. of the centres, `stiffness 0` .. and, of the beads,
         `bead x0` .. and `bead mass 0` .., all in SI units; and those of `Edges.values`.
         """
         found: dict[str, Complex] = {}
@@ -123,6 +123,8 @@ class DiscResponse:
         if "radius" in names:
             across = self._across(d, "radius_m", 1e-3 * d.radius_m)
             found["radius"] = self._by_vectors(across) + d.radius_m / 2 * self._weighed(self._by_face)
+        if "stretch" in names:
+            found["stretch"] = self._by_vectors(self._across(d, "stretch", _STRETCH_STEP))
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
         for k in range(D):
@@ -180,7 +182,7 @@ class DiscResponse:
         for by in (step, -step):
             moved = part._replace(**{name: getattr(part, name) + by * along})
             shape, discs = (moved, self._discs) if isinstance(moved, Shape) else (self._shape, moved)
-            ends.append(disc_vectors(self._plate, (shape.width, shape.height), discs))
+            ends.append(disc_vectors(self._plate, shape, discs))
         change = self._plate.turned((ends[0] - ends[1]) / (2 * step), self._bare)
         return np.stack([_product(change.T, answer).T for answer in self._answers], axis=2)
 
@@ -226,7 +228,6 @@ class DiscResponse:
                 total -= np.stack([(y * own[:, r]).sum(axis=0) for r in range(1, D)])
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
-            if name in ("width", "height"):
                 total += self._by_vectors(self._across(self._shape, name, 1e-5 * value))
             found[name] = total
         return found

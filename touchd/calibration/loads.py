@@ -51,6 +51,8 @@ class Discs(NamedTuple):
     """From each centre to the bead of solder and glue where its cable leaves, shape (D, 2)."""
     beads_kg_m3: Floats
     """Mass of each bead over the plate's density, m^3, shape (D,)."""
+    stretch: float = 0.0
+    """How far they drive and sense the plate's middle in its plane, over what a force on its face does."""
     scatterers: Floats = np.zeros((0, 5))
     """Of each of L scatterers x and y, m; radius, m; mass over the plate's density and stiffness over its Young's
     modulus, m^3: shape (L, 5)."""
@@ -83,12 +85,18 @@ class Loss(NamedTuple):
         return np.asarray(self.factor * np.maximum(nu_rad_s.real / self.middle_rad_s, LEAST_RATIO) ** self.slope)
 
 
-def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
+def disc_vectors(plate: ReducedPlate, shape: Shape, discs: Discs) -> Floats:
     """Return the discs in the reference's modes, mean by mean, and the scatterers: shape (n, MEANS D + 6 CELLS L)."""
-    found = [vectors_at(discs.centres_m, discs.beads_m, discs.radius_m, size, plate.counts, plate.sums)]
-    for x, y, radius, *_ in discs.scatterers:
-        found.append(scatterer_vectors(np.array([x, y]), radius, size, plate.counts, plate.sums))
-    return np.asarray(np.sqrt(size[0] * size[1]) * np.concatenate(found, axis=1))
+    size = shape.width, shape.height
+    found = vectors_at(discs.centres_m, discs.beads_m, discs.radius_m, size, plate.counts, plate.sums)
+    found[plate.in_plane] *= 2 / shape.h * discs.stretch
+    others = [
+        scatterer_vectors(np.array([x, y]), radius, size, plate.counts, plate.sums)
+        for x, y, radius, *_ in discs.scatterers
+    ]
+    for each in others:  # a hole goes through the plate: it turns no wave into one of the other kind
+        each[plate.in_plane] = 0.0
+    return np.asarray(np.sqrt(size[0] * size[1]) * np.concatenate([found, *others], axis=1))
 
 
 class Start(NamedTuple):

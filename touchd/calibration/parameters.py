@@ -27,6 +27,9 @@ PLASTIC_M_S = 2500.0
 SPEED_PRIOR, POISSON_PRIOR = 0.02, 0.02
 """Standard deviations of handbook values: of the logarithm of the wave speed, and of Poisson's ratio."""
 LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR, GYRATION_PRIOR = 0.7, 0.5, 0.3, 0.05, 1.5, 1.0
+STRETCH_PRIOR = 0.5
+"""Of how far discs drive the plate's middle in its plane, over what a force on its face does: where a disc is stiff
+beside the plate, the force acts further up."""
 BOND_PRIOR = 0.3
 """Of how much stiffer one disc's bond is than another's, in the unit of stiffness."""
 BEAD_G, BEAD_G_PRIOR, BEAD_MM_PRIOR = 0.05, 0.03, 4.0
@@ -39,7 +42,7 @@ RADIUS_PRIOR, LEAST_RADIUS_MM = 0.5, 0.5
 
 FIRST = ("speed", "thickness", "loss")
 PLATE = ("speed", "thickness", "loss", "poisson", "width", "height", "slope")
-DISCS = ("mass", "radius", "stiffness", "gyration")
+DISCS = ("mass", "radius", "stiffness", "gyration", "stretch")
 LOGARITHMS = frozenset({"speed", "thickness", "loss", "mass", "radius"})
 
 
@@ -81,6 +84,7 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
         Unknown("radius", "disc diameter", "mm", 0.0, SIZE_PRIOR),
         Unknown("stiffness", "disc stiffness", "1e-7 m^3", 1.0, STIFFNESS_PRIOR),
         Unknown("gyration", "disc gyration, squared", "mm^2", 1.0, GYRATION_PRIOR),
+        Unknown("stretch", "disc stretch over bending", "", 1.0, STRETCH_PRIOR),
     ]
     for side, kind in held_sides(said).items():
         start = STARTS[kind]
@@ -161,6 +165,7 @@ class Reader:
             max(self._gyration2_m2 * v["gyration"], 0.0),
             p[self._beads].reshape(-1, 2) * 1e-3,
             np.maximum(p[self._masses], 0.0) * self._gram_m3,
+            max(v["stretch"], 0.0),
             self._scatterers(p),
         )
         edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
@@ -186,6 +191,7 @@ class Reader:
             "poisson": ("nu", 1.0), "width": ("width", 1e-3), "height": ("height", 1e-3), "slope": ("slope", 1.0),
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
             "stiffness": ("stiffness", STIFFNESS_M3), "gyration": ("gyration2", self._gyration2_m2),
+            "stretch": ("stretch", 1.0),
         }  # fmt: skip
         found |= {name: (name, 1.0) for name in self.edges}
         found |= {name: (name, unit) for name, unit in zip(self.scatterers, cycle(self._scatterer_units))}
@@ -215,7 +221,7 @@ class Reader:
             stiffnesses_n_m=tuple((rho * guess.shape.speed2 * discs.stiffness_m3).tolist()),
             lever_mm=1e3 * np.sqrt(discs.lever2_m2), spread=discs.spread,
             beads_mm=tuple(map(tuple, (1e3 * discs.beads_m).tolist())),
-            beads_g=tuple((1e3 * rho * discs.beads_kg_m3).tolist()),
+            beads_g=tuple((1e3 * rho * discs.beads_kg_m3).tolist()), stretch=discs.stretch,
             scatterers=tuple(
                 Scatterer(at_mm=(1e3 * x, 1e3 * y), diameter_mm=2e3 * radius, mass_g=1e3 * rho * mass,
                           stiffness_n_m=rho * guess.shape.speed2 * stiffness)

@@ -1,7 +1,7 @@
 """The free plate near a reference plate: its eigenproblem in the reference's modes.
 
 Strain and kinetic energy of Mindlin's plate are sums of thirteen forms that depend on the modes alone, times factors
-that depend on wave speed, thickness, Poisson's ratio, width and height alone. In coordinates scaled by width and height
+that depend on wave speed, thickness, Poisson's ratio, width and height alone; those of waves in its plane of six. In coordinates scaled by width and height
 the modes of one plate are a basis for those of all similar ones, so another plate costs an eigenproblem of a few
 hundred unknowns, and a parameter's derivative a product with a small matrix.
 
@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.twin.physics import legendre
+from touchd.twin.physics import in_plane, legendre
 from touchd.twin.physics.material import ElasticPlate, material_of, stiffness_of
 from touchd.twin.physics.plate import (
     LEAST_MARGIN,
@@ -34,6 +34,8 @@ Array = TypeVar("Array", Floats, Complex)
 
 BASIS, BASIS_OF_MANY = 3.0, 1.8
 """Modes up to this many times the highest frequency are the basis; fewer where a plate has thousands."""
+IN_PLANE = 1.6
+"""The same of modes in the plate's plane."""
 
 
 class Shape(NamedTuple):
@@ -60,27 +62,39 @@ def shape_of(plate: ElasticPlate) -> Shape:
 
 def _stiff_factors(s: Shape) -> Floats:
     """Return the factors of the strain energy's twelve forms."""
-    bend = s.speed2 * s.h**2 / (12 * (1 - s.nu**2))
-    twist = bend * (1 - s.nu) / 2
     shear = 5 / (6 - s.nu) * s.speed2 / (2 * (1 + s.nu))
     W, H = s.width, s.height
     return np.array([
-        bend / W**2, bend / H**2, 2 * bend * s.nu / (W * H), twist / H**2, twist / W**2, 2 * twist / (W * H),
-        shear / W**2, 2 * shear / W, shear, shear / H**2, 2 * shear / H, shear,
+        *(s.h**2 / 12 * _plane_factors(s)), shear / W**2, 2 * shear / W, shear, shear / H**2, 2 * shear / H, shear,
+    ])  # fmt: skip
+
+
+def _plane_factors(s: Shape) -> Floats:
+    """Return the factors of the six forms of the strain energy in the plane."""
+    stretch = s.speed2 / (1 - s.nu**2)
+    shear = stretch * (1 - s.nu) / 2
+    W, H = s.width, s.height
+    return np.array([
+        stretch / W**2, stretch / H**2, 2 * stretch * s.nu / (W * H), shear / H**2, shear / W**2, 2 * shear / (W * H),
     ])  # fmt: skip
 
 
 class _Class(NamedTuple):
-    """The basis modes of one parity: n modes."""
+    """The basis modes of one parity: n modes, that bend the plate or lie in its plane."""
 
     fields: tuple[Floats, Floats, Floats]
-    """Coefficients of w, psi_x and psi_y in products of polynomials on the unit square, each (n, a b)."""
+    """Coefficients of w, psi_x and psi_y, or of nothing, u and v, in products of polynomials on the unit square, each
+    (n, a b)."""
     places: tuple[Slices, Slices, Slices]
     """Where these stand among all, along x and y."""
     stiff: list[Floats]
-    """Twelve forms of the strain energy, each (n, n)."""
+    """Twelve or six forms of the strain energy, each (n, n)."""
     rotary: Floats
-    """Form of the rotations' kinetic energy; that of the deflection follows from the reference's unit mass."""
+    """Form of the rotations' kinetic energy; the rest follows from the reference's unit mass."""
+
+    def stiffness(self, factors: Floats) -> Floats:
+        """Return the sum of the forms times factors."""
+        return np.asarray(sum(factor * form for form, factor in zip(self.stiff, factors, strict=True)))
 
 
 class BareModes(NamedTuple):
@@ -100,9 +114,14 @@ class ReducedPlate:
         self.counts = polynomials_for(plate, highest_hz, LEAST_MARGIN)
         basis = BASIS_OF_MANY if max(self.counts) > MANY_POLYNOMIALS - 10 else BASIS
         unit = float(np.sqrt(stiffness_of(plate).mass))
-        self.classes = [
-            _class_of(each, unit, self.counts) for each in solve_classes(plate, self.counts, basis * highest_hz)
-        ]
+        bending = solve_classes(plate, self.counts, basis * highest_hz)
+        plane_counts = in_plane.polynomials_for(plate, highest_hz)
+        plane = in_plane.solve_classes(plate, plane_counts, IN_PLANE * highest_hz)
+        self.classes = [_class_of(each, unit, self.counts) for each in bending]
+        self.classes += [_class_in_plane(each, unit, plane_counts) for each in plane]
+        modes = [len(each.rotary) for each in self.classes]
+        self.in_plane = np.repeat(np.arange(len(modes)) >= len(bending), modes)
+        """Which modes lie in the plane, shape (n,): a face moves by u and v where it moves by psi h/2 in others."""
         self._last: tuple[Shape, BareModes] | None = None
 
     def solve(self, shape: Shape) -> BareModes:
@@ -114,10 +133,10 @@ class ReducedPlate:
         return modes._replace(omega2=modes.omega2 * (shape.speed2 / unit.speed2))
 
     def _solve(self, shape: Shape) -> BareModes:
-        factors, spin = _stiff_factors(shape), (shape.h**2 - self.reference.h**2) / 12
+        factors, spin = _factors(shape), (shape.h**2 - self.reference.h**2) / 12
         omega2, turns = [], []
         for each in self.classes:
-            K = _sum(each.stiff, factors)
+            K = each.stiffness(factors[len(each.stiff)])
             mass = spin * each.rotary
             mass[np.diag_indices(len(mass))] += 1
             root = np.linalg.cholesky(mass)
@@ -131,7 +150,9 @@ class ReducedPlate:
         """Return another plate's modes with discs: all of them, as with fewer a disc would yield otherwise."""
         bare = self.solve(shape_of(plate))
         unit = np.sqrt(stiffness_of(plate).mass)
-        vectors = self.turned(vectors_of(layout, size_m(plate), self.counts, self.sums), bare) / unit
+        found = vectors_of(layout, size_m(plate), self.counts, self.sums)
+        found[self.in_plane] *= 2e3 / plate.thickness_mm * layout.stretch
+        vectors = self.turned(found, bare) / unit
         omega, V = with_discs(np.sqrt(bare.omega2), vectors, layout)
         w = np.empty((len(omega), *self.counts))
         for turn, part, each in zip(bare.turns, self.to_classes(V.T), self.classes, strict=True):
@@ -144,8 +165,9 @@ class ReducedPlate:
         """Return, for each class, the derivative (n, n) of the stiffness, and the factor of `rotary` in the mass's."""
         step = 1e-4 * getattr(shape, name)
         up, down = (shape._replace(**{name: getattr(shape, name) + sign * step}) for sign in (1, -1))
-        factors = (_stiff_factors(up) - _stiff_factors(down)) / (2 * step)
-        return [(_sum(each.stiff, factors), shape.h / 6 if name == "h" else 0.0) for each in self.classes]
+        above, below, spin = _factors(up), _factors(down), shape.h / 6 if name == "h" else 0.0
+        rates = {forms: (above[forms] - below[forms]) / (2 * step) for forms in above}
+        return [(each.stiffness(rates[len(each.stiff)]), spin) for each in self.classes]
 
     def turned(self, values: Floats, bare: BareModes) -> Floats:
         """Turn values in the reference's modes (n, k) into another plate's, class by class."""
@@ -165,35 +187,56 @@ class ReducedPlate:
         return np.concatenate(found)
 
 
-def _sum(forms: list[Floats], factors: Floats) -> Floats:
-    return np.asarray(sum(factor * form for form, factor in zip(forms, factors, strict=True)))
+def _factors(shape: Shape) -> dict[int, Floats]:
+    """Return the factors of a class' forms by their number."""
+    return {len(factors): factors for factors in (_stiff_factors(shape), _plane_factors(shape))}
 
 
 def _class_of(modes: ClassModes, unit: float, counts: tuple[int, int]) -> _Class:
-    """Return the energies' forms between the modes of one class."""
+    """Return the energies' forms between the modes of one class of bending waves."""
     w, px, py = (unit * field for field in modes.fields)
-    d = [legendre.derivative(1.0, count) for count in counts]
+    along = _Along(modes, counts)
+    w_x, w_y = along.x(w, 0), along.y(w, 0)
+    stiff = along.plane(px, py)
+    stiff += [_form(a, b) for a, b in ((w_x, w_x), (w_x, px), (px, px), (w_y, w_y), (w_y, py), (py, py))]
+    return _Class(_flat(w, px, py), modes.places, stiff, stiff[8] + stiff[11])
 
-    def x(field: int) -> Floats:
-        own = modes.places[field][0]
-        return np.asarray(np.einsum("ij,njk->nik", d[0][_other(own), own], (w, px, py)[field], optimize=True))
 
-    def y(field: int) -> Floats:
-        own = modes.places[field][1]
-        return np.asarray((w, px, py)[field] @ d[1][_other(own), own].T)
+def _class_in_plane(modes: ClassModes, unit: float, counts: tuple[int, int]) -> _Class:
+    """Return the energies' forms between the modes of one class of waves in the plane."""
+    nothing, u, v = (unit * field for field in modes.fields)
+    stiff = _Along(modes, counts).plane(u, v)
+    return _Class(_flat(nothing, u, v), modes.places, stiff, np.zeros((len(u), len(u))))
 
-    def form(a: Floats, b: Floats) -> Floats:
-        product = a.reshape(len(a), -1) @ b.reshape(len(b), -1).T
-        return product if a is b else (product + product.T) / 2
 
-    px_x, px_y, py_x, py_y, w_x, w_y = x(1), y(1), x(2), y(2), x(0), y(0)
-    pairs = [
-        (px_x, px_x), (py_y, py_y), (px_x, py_y), (px_y, px_y), (py_x, py_x), (px_y, py_x),
-        (w_x, w_x), (w_x, px), (px, px), (w_y, w_y), (w_y, py), (py, py),
-    ]  # fmt: skip
-    stiff = [form(a, b) for a, b in pairs]
-    flat_w, flat_x, flat_y = (field.reshape(len(field), -1) for field in (w, px, py))
-    return _Class((flat_w, flat_x, flat_y), modes.places, stiff, stiff[8] + stiff[11])
+class _Along:
+    """Derivatives of a class' fields on the unit square."""
+
+    def __init__(self, modes: ClassModes, counts: tuple[int, int]) -> None:
+        self._places, self._d = modes.places, [legendre.derivative(1.0, count) for count in counts]
+
+    def x(self, values: Floats, field: int) -> Floats:
+        own = self._places[field][0]
+        return np.asarray(np.einsum("ij,njk->nik", self._d[0][_other(own), own], values, optimize=True))
+
+    def y(self, values: Floats, field: int) -> Floats:
+        own = self._places[field][1]
+        return np.asarray(values @ self._d[1][_other(own), own].T)
+
+    def plane(self, a: Floats, b: Floats) -> list[Floats]:
+        """Return the six forms of the strain energy of fields along x and y: rotations, or displacements."""
+        a_x, a_y, b_x, b_y = self.x(a, 1), self.y(a, 1), self.x(b, 2), self.y(b, 2)
+        return [_form(*pair) for pair in ((a_x, a_x), (b_y, b_y), (a_x, b_y), (a_y, a_y), (b_x, b_x), (a_y, b_x))]
+
+
+def _form(a: Floats, b: Floats) -> Floats:
+    product = a.reshape(len(a), -1) @ b.reshape(len(b), -1).T
+    return product if a is b else (product + product.T) / 2
+
+
+def _flat(*fields: Floats) -> tuple[Floats, Floats, Floats]:
+    w, a, b = (field.reshape(len(field), -1) for field in fields)
+    return w, a, b
 
 
 def _other(own: slice) -> slice:

@@ -15,17 +15,19 @@ from numpy.typing import NDArray
 from touchd.frame import Plate
 from touchd.lab.plates.disc_functions import COUNT, DiscFunctions
 from touchd.twin.cache import remember
-from touchd.twin.physics import legendre
+from touchd.twin.physics import in_plane, legendre
 from touchd.twin.physics.material import material_of, stiffness_of
 from touchd.twin.physics.plate import Modes, polynomials_for, size_m, solve
 from touchd.twin.physics.transducer import Layout, LoadedModes
 
 Floats = NDArray[np.float64]
 
-VERSION = 2
+VERSION = 3
 BASIS, BASIS_OF_MANY = 2.2, 1.6
 """Times the band's end: modes that carry the patches; fewer where a plate has thousands, which leave 1e-3 of the
 untouched energy. All modes of the loaded plate are kept: the highest stand for how the plate gives way at a disc."""
+IN_PLANE = 1.8
+"""The same of the modes in the plate's plane."""
 REACH = 2.5
 """Radii of a disc to which the functions around it reach; less where an edge or another disc is near."""
 LEAST_NEW = 1e-9
@@ -43,6 +45,10 @@ class Patch(NamedTuple):
     rotary_kg: float = 0.0
     bending_n_m: float = 0.0
     shear_n_m: float = 0.0
+    stretch_n_m: float = 0.0
+    """Stiffness in the plane of what lies in the plate's middle."""
+    lever_m: float = 0.0
+    """Height over the plate's middle of what bends, rolls and stretches as one; 0 for what lies in the middle."""
     round: bool = True
     corner: bool = False
     """Whether it is the triangle towards the rectangle's corner of least x and y."""
@@ -55,7 +61,7 @@ def disc_patches(layout: Layout) -> list[Patch]:
     return [
         Patch(
             float(x), float(y), radius, radius, density * thick, density * thick * lever**2,
-            0.5 * young * thick * lever**2 / (1 - 0.3**2),
+            0.5 * young * thick * lever**2 / (1 - 0.3**2), lever_m=lever,
         )
         for x, y in layout.centres_mm
     ]  # fmt: skip
@@ -66,7 +72,7 @@ def missing(plate: Plate, share: float, **where: float | bool) -> Patch:
     s = stiffness_of(plate)
     return Patch(
         mass_kg_m2=-share * s.mass, rotary_kg=-share * s.rotary, bending_n_m=-share * s.bending,
-        shear_n_m=-share * s.shear, **where,  # type: ignore[arg-type]  # the rest are places
+        shear_n_m=-share * s.shear, stretch_n_m=-share * 12 * s.bending / (plate.thickness_mm * 1e-3) ** 2, **where,  # type: ignore[arg-type]  # the rest are places
     )  # fmt: skip
 
 
@@ -81,7 +87,8 @@ def other_modes(plate: Plate, layout: Layout, patches: list[Patch], frequency_hz
     def compute() -> dict[str, Floats]:
         basis = BASIS_OF_MANY if max(counts) > 80 else BASIS
         modes = _bare(plate, counts, basis * frequency_hz)
-        return _patched(modes, plate, layout, patches)._asdict()
+        beside = in_plane.face_modes(plate, frequency_hz, counts, IN_PLANE * frequency_hz)
+        return _patched(modes, beside, plate, layout, patches)._asdict()
 
     return LoadedModes(**remember("other", key, compute))
 
@@ -92,22 +99,24 @@ def _bare(plate: Plate, counts: tuple[int, int], below_hz: float) -> Modes:
     return Modes(**remember("bare", key, lambda: solve(plate, counts, below_hz)._asdict()))
 
 
-def _patched(modes: Modes, plate: Plate, layout: Layout, patches: list[Patch]) -> LoadedModes:
+def _patched(bending: Modes, in_plane: Modes, plate: Plate, layout: Layout, patches: list[Patch]) -> LoadedModes:
+    modes = Modes(*map(np.concatenate, zip(bending, in_plane, strict=True)))
+    n, bent = len(modes.omega_rad_s), len(bending.omega_rad_s)
     basis = _Basis(modes, plate, _around(layout, plate))
-    mass, stiff = np.zeros((2, basis.count, basis.count))
-    s, nu = stiffness_of(plate), material_of(plate).nu
+    add = _Sum(basis.count, slice(bent, n), plate)
+    s = stiffness_of(plate)
     whole = Patch(0.0, 0.0, 0.0, 0.0, s.mass, s.rotary, s.bending, s.shear)
     for k, disc in enumerate(basis.discs):
-        _add(mass, stiff, basis.at(*disc.rule(), k), whole, nu)
-    n = len(modes.omega_rad_s)
+        add(basis.at(*disc.rule(), k), whole)
+    mass, stiff = add.mass, add.stiff
     # Of the modes themselves the whole plate's energies are known; the above gave a disc's surroundings' only.
     mass[:n, :n], stiff[:n, :n] = np.eye(n), np.diag(modes.omega_rad_s**2)
     for patch in [*disc_patches(layout), *patches]:
-        _add(mass, stiff, basis.at(*_points(patch)), patch, nu)
+        add(basis.at(*_points(patch)), patch)
     root = _inverse_root(mass)
     squares, vectors = np.linalg.eigh(root.T @ stiff @ root)
     omega = np.sqrt(np.maximum(squares, 0.0))
-    omega[:3] = 0.0
+    omega[:6] = 0.0  # the rigid motions
     V = (root @ vectors).T
     turned = [basis.outward(c * 1e-3, 0.45e-3 * layout.diameter_mm) for c in layout.centres_mm]
     return LoadedModes(omega, basis.deflection(V), V @ np.stack(turned, axis=1))
@@ -131,20 +140,40 @@ def _inverse_root(mass: Floats) -> Floats:
     return np.asarray(vectors[:, some] / np.sqrt(values[some]) / scale[:, None])
 
 
-def _add(mass: Floats, stiff: Floats, at: tuple[NDArray[np.intp], Floats], patch: Patch, nu: float) -> None:
-    """Add a patch's energies; `at` is `_Basis.at` of its points."""
-    rows, (w, psi_x, psi_y) = at
-    which = np.ix_(rows, rows)
-    for total, factor, fields in (
-        (mass, patch.mass_kg_m2, [w[0]]),
-        (mass, patch.rotary_kg, [psi_x[0], psi_y[0]]),
-        (stiff, patch.bending_n_m * (1 + nu) / 2, [psi_x[1] + psi_y[2]]),
-        (stiff, patch.bending_n_m * (1 - nu) / 2, [psi_x[1] - psi_y[2], psi_x[2] + psi_y[1]]),
-        (stiff, patch.shear_n_m, [w[1] + psi_x[0], w[2] + psi_y[0]]),
-    ):
-        if factor:
-            for field in fields:
-                total[which] += factor * (field @ field.T)
+class _Sum:
+    """Sums the energies of patches: matrices of mass and stiffness between a basis' functions.
+
+    Modes `in_plane` are those that `touchd.twin.physics.in_plane.face_modes` returns.
+    """
+
+    def __init__(self, count: int, in_plane: slice, plate: Plate) -> None:
+        self.mass, self.stiff = np.zeros((2, count, count))
+        self._in_plane, self._half_m, self._nu = in_plane, plate.thickness_mm * 5e-4, material_of(plate).nu
+
+    def __call__(self, at: tuple[NDArray[np.intp], Floats], patch: Patch) -> None:
+        """Add a patch's energies; `at` is `_Basis.at` of its points."""
+        rows, fields = at
+        which, nu, ours = np.ix_(rows, rows), self._nu, self._in_plane
+        # A mode's displacement in the plane, and what it is to a patch that lies at a height.
+        plane = np.zeros_like(fields[1:])
+        plane[:, :, ours] = self._half_m * fields[1:, :, ours]
+        bent = fields[1:].copy()
+        bent[:, :, ours] = plane[:, :, ours] / patch.lever_m if patch.lever_m else 0.0
+        w, (psi_x, psi_y), (u, v) = fields[0], bent, plane
+        own = 0.0 if patch.lever_m else patch.mass_kg_m2
+        for total, factor, parts in (
+            (self.mass, patch.mass_kg_m2, [w[0]]),
+            (self.mass, patch.rotary_kg, [psi_x[0], psi_y[0]]),
+            (self.mass, own, [u[0], v[0]]),
+            (self.stiff, patch.bending_n_m * (1 + nu) / 2, [psi_x[1] + psi_y[2]]),
+            (self.stiff, patch.bending_n_m * (1 - nu) / 2, [psi_x[1] - psi_y[2], psi_x[2] + psi_y[1]]),
+            (self.stiff, patch.stretch_n_m * (1 + nu) / 2, [u[1] + v[2]]),
+            (self.stiff, patch.stretch_n_m * (1 - nu) / 2, [u[1] - v[2], u[2] + v[1]]),
+            (self.stiff, patch.shear_n_m, [w[1] + psi_x[0], w[2] + psi_y[0]]),
+        ):
+            if factor:
+                for part in parts:
+                    total[which] += factor * (part @ part.T)
 
 
 class _Basis:

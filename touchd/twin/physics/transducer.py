@@ -78,6 +78,8 @@ class Layout(BaseModel):
     beads_g: tuple[float, ...] = ()
     """Masses of the beads."""
     scatterers: tuple[Scatterer, ...] = ()
+    stretch: float = Field(default=0.0, ge=0)
+    """How far discs drive and sense the plate's middle in its plane, over what a force on its face does; 0: not."""
 
     @property
     def centres_mm(self) -> Floats:
