@@ -102,8 +102,8 @@ class DiscResponse:
         """Return the derivatives (R, F) by the named parameters.
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
-        `gyration2`, `radius`, `stretch`; of single discs `x0`, `y0`, `x1` .. of the centres, `stiffness 0` .. and, of the beads,
-        `bead x0` .. and `bead mass 0` .., all in SI units; and those of `Edges.values`.
+        `gyration2`, `radius`, `stretch`; of single discs `x0`, `y0`, `x1` .. of the centres, `stiffness 0` .. and, of
+        the beads, `bead x0` .. and `bead mass 0` .., all in SI units; and those of `Edges.values`.
         """
         found: dict[str, Complex] = {}
         d, D = self._discs, len(self._discs.centres_m)

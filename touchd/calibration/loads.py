@@ -51,11 +51,11 @@ class Discs(NamedTuple):
     """From each centre to the bead of solder and glue where its cable leaves, shape (D, 2)."""
     beads_kg_m3: Floats
     """Mass of each bead over the plate's density, m^3, shape (D,)."""
-    stretch: float = 0.0
-    """How far they drive and sense the plate's middle in its plane, over what a force on its face does."""
     scatterers: Floats = np.zeros((0, 5))
     """Of each of L scatterers x and y, m; radius, m; mass over the plate's density and stiffness over its Young's
     modulus, m^3: shape (L, 5)."""
+    stretch: float = 0.0
+    """How far they drive and sense the plate's middle in its plane, over what a force on its face does."""
 
     @property
     def face_m2(self) -> float:

@@ -165,8 +165,8 @@ class Reader:
             max(self._gyration2_m2 * v["gyration"], 0.0),
             p[self._beads].reshape(-1, 2) * 1e-3,
             np.maximum(p[self._masses], 0.0) * self._gram_m3,
-            max(v["stretch"], 0.0),
             self._scatterers(p),
+            max(v["stretch"], 0.0),
         )
         edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
         return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle), edges)

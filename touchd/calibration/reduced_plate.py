@@ -1,9 +1,9 @@
 """The free plate near a reference plate: its eigenproblem in the reference's modes.
 
 Strain and kinetic energy of Mindlin's plate are sums of thirteen forms that depend on the modes alone, times factors
-that depend on wave speed, thickness, Poisson's ratio, width and height alone; those of waves in its plane of six. In coordinates scaled by width and height
-the modes of one plate are a basis for those of all similar ones, so another plate costs an eigenproblem of a few
-hundred unknowns, and a parameter's derivative a product with a small matrix.
+that depend on wave speed, thickness, Poisson's ratio, width and height alone; those of waves in its plane of six. In
+coordinates scaled by width and height the modes of one plate are a basis for those of all similar ones, so another
+plate costs an eigenproblem of a few hundred unknowns, and a parameter's derivative a product with a small matrix.
 
 Energies are per mass of the plate: a mode has the mass 1 if it carries the plate's whole mass.
 """
@@ -150,7 +150,7 @@ class ReducedPlate:
         """Return another plate's modes with discs: all of them, as with fewer a disc would yield otherwise."""
         bare = self.solve(shape_of(plate))
         unit = np.sqrt(stiffness_of(plate).mass)
-        found = vectors_of(layout, size_m(plate), self.counts, self.sums)
+        found = vectors_of(layout, size_m(plate), self.counts, self.sums, self.in_plane)
         found[self.in_plane] *= 2e3 / plate.thickness_mm * layout.stretch
         vectors = self.turned(found, bare) / unit
         omega, V = with_discs(np.sqrt(bare.omega2), vectors, layout)

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from touchd.calibration.disc_response import DiscResponse
 from touchd.calibration.loads import SCATTERER, Discs, Edges, Guess, Loss, attachments, lines_along
-from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape, shape_of
+from touchd.calibration.reduced_plate import IN_PLANE, SHAPE_NAMES, ReducedPlate, Shape, shape_of
+from touchd.twin.physics.in_plane import face_modes
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.mounting import attach
-from touchd.twin.physics.plate import solve
+from touchd.twin.physics.plate import Modes, solve
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout, Scatterer, load
 
@@ -28,6 +29,7 @@ LOSS = Loss(5e-3, 0.3, 2 * np.pi * 75e3)
 DISCS = Discs(
     PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa, (LEVER_MM**2 + 1.5**2) * 1e-6,
     BEADS_MM * 1e-3, BEADS_G * 1e-3 / GLASS.rho_kg_m3, np.array([[42e-3, 34e-3, 5e-3, -3e-7, -0.5e-7]]),
+    0.8,
 )  # fmt: skip
 
 
@@ -50,6 +52,12 @@ def near(plate: ReducedPlate) -> Shape:
     return s._replace(h=1.003 * s.h, width=1.002 * s.width, speed2=1.01 * s.speed2)
 
 
+def every_mode(plate: ReducedPlate, stretch: float) -> Modes:
+    """The plate's modes without discs, those in its plane with them."""
+    faces = face_modes(PLATE, 100e3, plate.counts, IN_PLANE * 100e3, stretch)
+    return Modes(*map(np.concatenate, zip(solve(PLATE, plate.counts, 300e3), faces, strict=True)))
+
+
 @pytest.mark.parametrize(("lever_mm", "spread"), [(LEVER_MM, 1.0), (0.0, 0.4), (0.0, 0.0)])
 def test_it_is_the_twins(plate: ReducedPlate, lever_mm: float, spread: float) -> None:
     """The response between the discs is the twin's, with stiffnesses and masses spread or in the centre."""
@@ -63,8 +71,9 @@ def test_it_is_the_twins(plate: ReducedPlate, lever_mm: float, spread: float) ->
         beads_mm=((4.0, 1.0), (-3.0, 2.0), (0.0, -5.0)),
         beads_g=tuple(BEADS_G),
         scatterers=(HOLE,),
+        stretch=0.8,
     )
-    modes = load(solve(PLATE, plate.counts, 300e3), PLATE, layout)
+    modes = load(every_mode(plate, 0.8), PLATE, layout)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
     discs = DISCS._replace(gyration2_m2=1e-6 * lever_mm**2 + spread * DISCS.face_m2)
     found = DiscResponse(plate, Guess(plate.reference, discs, LOSS, EDGES), NU).untouched()
@@ -75,18 +84,24 @@ def test_it_is_the_twins(plate: ReducedPlate, lever_mm: float, spread: float) ->
 def test_another_plate_in_the_references_modes(plate: ReducedPlate) -> None:
     """Modes of a plate half a percent away are those of its own eigenproblem, to 5e-4."""
     other = ElasticPlate(width_mm=70.2, height_mm=59.9, thickness_mm=5.02, elastic=Material(73e9, 0.235, 2490.0))
-    found = np.sqrt(np.sort(plate.solve(shape_of(other)).omega2))
-    exact = solve(other, plate.counts, 105e3).omega_rad_s
-    np.testing.assert_allclose(found[3 : len(exact)], exact[3:], rtol=5e-4)
+    found = plate.solve(shape_of(other)).omega2
+    in_plane = face_modes(other, 100e3, plate.counts, 105e3)
+    for which, exact in ((~plate.in_plane, solve(other, plate.counts, 105e3)), (plate.in_plane, in_plane)):
+        own, expected = np.sqrt(np.sort(found[which])), np.sort(exact.omega_rad_s)
+        np.testing.assert_allclose(own[3 : len(expected)], expected[3:], rtol=5e-4)
 
 
 def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
     """With tape and a clamp the response is that of the twin's modes with the same strips attached."""
     layout = Layout(emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, spread=1)
-    modes = attach(load(solve(PLATE, plate.counts, 300e3), PLATE, layout), PLATE, attachments(EDGES, PLATE), 0.0, 75e3)
+    modes = attach(load(every_mode(plate, 0.0), PLATE, layout), PLATE, attachments(EDGES, PLATE), 0.0, 75e3)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
     discs = DISCS._replace(
-        stiffness_m3=np.zeros(3), gyration2_m2=DISCS.face_m2, beads_kg_m3=np.zeros(3), scatterers=np.zeros((0, 5))
+        stiffness_m3=np.zeros(3),
+        gyration2_m2=DISCS.face_m2,
+        beads_kg_m3=np.zeros(3),
+        scatterers=np.zeros((0, 5)),
+        stretch=0.0,
     )
     guess = Guess(plate.reference, discs, LOSS, EDGES)
     found = DiscResponse(plate, guess, NU, lines_along(plate, EDGES.kinds)).untouched()
@@ -138,6 +153,8 @@ def differences(plate: ReducedPlate, name: str, of: Discs = DISCS) -> Complex:
     field = {"mass": "mass_kg_m3", "stiffness": "stiffness_m3", "radius": "radius_m", "gyration2": "gyration2_m2"}.get(
         name
     )
+    if name == "stretch":
+        return central(lambda d: response(discs=of._replace(stretch=of.stretch + d)), 1e-3)
     if field:
         value = getattr(of, field)
         return central(lambda d: response(discs=of._replace(**{field: value + d})), 1e-4 * float(np.max(value)))
@@ -156,8 +173,8 @@ def differences(plate: ReducedPlate, name: str, of: Discs = DISCS) -> Complex:
     return central(lambda d: response(discs=DISCS._replace(**{what: getattr(DISCS, what) + d * unit})), 1e-6)
 
 
-NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "gyration2", "radius", "x0", "y0", "x1", "y1", "x2", "y2",
-         "bead x0", "bead y1", "bead x2", "bead mass 0", "bead mass 2", "stiffness 1",
+NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "gyration2", "radius", "stretch",
+         "x0", "y0", "x1", "y1", "x2", "y2", "bead x0", "bead y1", "bead x2", "bead mass 0", "bead mass 2", "stiffness 1",
          *(f"scatterer {name} 0" for name in SCATTERER), *EDGES.values)  # fmt: skip
 
 

@@ -38,17 +38,19 @@ def solve_classes(plate: Plate, counts: tuple[int, int], below_hz: float = np.in
     return [_solve_class(plate, counts, px, py, below_hz) for px in (0, 1) for py in (0, 1)]
 
 
-def face_modes(plate: Plate, frequency_hz: float, counts: tuple[int, int], below_hz: float) -> Modes:
-    """Return the modes with what a face feels of them: as rotations that would move it as far, `counts` of each.
+def face_modes(
+    plate: Plate, frequency_hz: float, counts: tuple[int, int], below_hz: float, stretch: float = 1.0
+) -> Modes:
+    """Return the modes with what a face feels of them: as rotations that would move it as far, times `stretch`.
 
-    They resolve waves up to `frequency_hz` and are kept `below_hz`, in any order.
+    They resolve waves up to `frequency_hz` and are kept `below_hz`, in any order; `counts` are the polynomials.
     """
     classes = solve_classes(plate, polynomials_for(plate, frequency_hz), below_hz)
     fields = []
     for each in classes:
         found = np.zeros((3, len(each.omega_rad_s), *counts))
         for field, values, (along_x, along_y) in zip(found, each.fields, each.places, strict=True):
-            field[:, along_x, along_y] = 2e3 / plate.thickness_mm * values
+            field[:, along_x, along_y] = stretch * 2e3 / plate.thickness_mm * values
         fields.append(found)
     return Modes(np.concatenate([each.omega_rad_s for each in classes]), *np.concatenate(fields, axis=1))
 
@@ -70,6 +72,8 @@ def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_
     K[of_u:, :of_u] = stretch * m.nu * np.kron(ux_x, vy_y.T) + shear * np.kron(vx_x.T, uy_y)
     squared, vectors = np.linalg.eigh(K, UPLO="L")
     omega = np.sqrt(np.maximum(squared, 0.0))
+    if (px, py) != (1, 0):
+        omega[0] = 0.0  # a rigid motion: along x or y, or a turn
     kept = omega < 2 * np.pi * below_hz
     # Unit modal mass.
     u, v = np.split(vectors[:, kept].T * (m.rho_kg_m3 * plate.thickness_mm * 1e-3) ** -0.5, [of_u], axis=1)

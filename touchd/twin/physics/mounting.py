@@ -31,8 +31,8 @@ VERSION = 1
 """Version of the algorithm; increase it when the same mounting gives other modes, to invalidate files on disk."""
 MIDDLE = 0.6
 """Middle of the band over the highest frequency: 75 of 125 kHz."""
-_RIGID_HZ = (1.0, 2.0, 3.0)
-"""Frequencies of the rigid motions: equal ones would have no definite vectors."""
+_RIGID_HZ = 1.0
+"""Frequencies of the rigid motions are multiples of it: equal ones would have no definite vectors."""
 
 
 class Support(NamedTuple):
@@ -145,7 +145,8 @@ def attach(
     w = modes.w.reshape(n, -1)
     middle = 2 * np.pi * middle_hz
     omega = modes.omega_rad_s.copy()
-    omega[:3] = 2 * np.pi * np.array(_RIGID_HZ)
+    rigid = np.count_nonzero(omega == 0)
+    omega[:rigid] = 2 * np.pi * _RIGID_HZ * np.arange(1, rigid + 1)
     stiffness, mass = np.diag(omega**2 * (1 + 1j * loss)), np.eye(n, dtype=complex)
     for attachment in attachments:
         overlap = _overlap(modes.w, attachment, plate)

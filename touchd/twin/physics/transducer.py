@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.cache import remember
-from touchd.twin.physics import legendre
+from touchd.twin.physics import in_plane, legendre
 from touchd.twin.physics.material import material_of
 from touchd.twin.physics.plate import MANY_POLYNOMIALS, Modes, polynomials_for, size_m, solve
 
@@ -35,6 +35,8 @@ CELLS = 7
 """Parts of a scatterer."""
 LEAST_MASS = 0.05
 """Share of the plate's mass that a hole leaves of any motion at least."""
+RIGID_RAD_S = 2 * np.pi
+"""Slower modes are rigid motions, to which rounding has given a frequency."""
 BASIS_HZ = 3.0
 """Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
 KEPT_HZ = 2.0
@@ -129,6 +131,11 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
 
     def compute() -> dict[str, Floats]:
         modes = solve(plate, parameters["counts"], parameters["basis"] * frequency_hz)
+        if layout.stretch:
+            faces = in_plane.face_modes(
+                plate, 0.8 * frequency_hz, parameters["counts"], parameters["kept"] * frequency_hz, layout.stretch
+            )
+            modes = Modes(*map(np.concatenate, zip(modes, faces, strict=True)))
         return load(modes, plate, layout, parameters["kept"] * frequency_hz)._asdict()
 
     return LoadedModes(**remember("plate", parameters, compute))
@@ -163,7 +170,7 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
     def sums(field: int, weights: Floats) -> Floats:
         return np.asarray(fields[field] @ weights.reshape(len(weights), -1).T)
 
-    vectors = vectors_of(layout, size_m(plate), (counts[0], counts[1]), sums)
+    vectors = vectors_of(layout, size_m(plate), (counts[0], counts[1]), sums, ~fields[0].any(axis=1))
     omega, V = with_discs(modes.omega_rad_s, vectors, layout, below_hz)
     discs = vectors[:, : len(layout.centres_mm)]
     return LoadedModes(omega, (V @ fields[0]).reshape(len(V), *counts), V @ discs)
@@ -173,14 +180,21 @@ Sums = Callable[[int, Floats], Floats]
 """Returns sums of n modes' coefficients, of w, psi_x or psi_y by number, times weights (k, nx, ny), shape (n, k)."""
 
 
-def vectors_of(layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums) -> Floats:
-    """Return the means over a layout's discs, as `vectors_at` does, and over its scatterers."""
+def vectors_of(
+    layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums, in_plane: NDArray[np.bool_]
+) -> Floats:
+    """Return the means over a layout's discs, as `vectors_at` does, and over its scatterers.
+
+    A hole goes through the plate, and turns no bending wave into one `in_plane`, as which modes (n,) are.
+    """
     beads_m = np.array(layout.beads_mm or 0.0) * 1e-3
     discs = vectors_at(layout.centres_mm * 1e-3, beads_m, layout.diameter_mm / 2e3, size_m, counts, sums)
     others = [
         scatterer_vectors(1e-3 * np.array(each.at_mm), each.diameter_mm / 2e3, size_m, counts, sums)
         for each in layout.scatterers
     ]
+    for each in others:
+        each[in_plane] = 0.0
     return np.concatenate([discs, *others], axis=1)
 
 
@@ -258,7 +272,7 @@ def with_discs(omega_rad_s: Floats, vectors: Floats, layout: Layout, below_hz: f
         stiffness += (stiffened * springs) @ stiffened.T
     squared, V = np.linalg.eigh(stiffness)
     omega = np.sqrt(np.maximum(squared, 0.0))
-    omega[:3] = 0.0  # the rigid motions stay
+    omega[omega < RIGID_RAD_S] = 0.0
     V = (root @ V[:, omega < 2 * np.pi * below_hz]).T
     return omega[: len(V)], V
 
