@@ -20,7 +20,7 @@ from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, Reduc
 from touchd.twin.physics import legendre
 from touchd.twin.physics.transducer import CELLS, MEANS, OTHER_BENDING
 
-_PLACE_STEP_M, _STRETCH_STEP = 1e-6, 1e-3
+_PLACE_STEP_M, _STRETCH_STEP_PER_M = 1e-6, 0.1
 ABSENT = 1e-9
 """A vector with this share of its largest value in a class of modes is absent there."""
 
@@ -124,7 +124,7 @@ class DiscResponse:
             across = self._across(d, "radius_m", 1e-3 * d.radius_m)
             found["radius"] = self._by_vectors(across) + d.radius_m / 2 * self._weighed(self._by_face)
         if "stretch" in names:
-            found["stretch"] = self._by_vectors(self._across(d, "stretch", _STRETCH_STEP))
+            found["stretch"] = self._by_vectors(self._across(d, "stretch_per_m", _STRETCH_STEP_PER_M))
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
         for k in range(D):
@@ -228,6 +228,7 @@ class DiscResponse:
                 total -= np.stack([(y * own[:, r]).sum(axis=0) for r in range(1, D)])
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
+            if name in ("width", "height"):
                 total += self._by_vectors(self._across(self._shape, name, 1e-5 * value))
             found[name] = total
         return found

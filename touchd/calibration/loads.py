@@ -54,8 +54,8 @@ class Discs(NamedTuple):
     scatterers: Floats = np.zeros((0, 5))
     """Of each of L scatterers x and y, m; radius, m; mass over the plate's density and stiffness over its Young's
     modulus, m^3: shape (L, 5)."""
-    stretch: float = 0.0
-    """How far they drive and sense the plate's middle in its plane, over what a force on its face does."""
+    stretch_per_m: float = 0.0
+    """How far the plate's middle moves them in the plane, over how far its rotations do."""
 
     @property
     def face_m2(self) -> float:
@@ -89,7 +89,7 @@ def disc_vectors(plate: ReducedPlate, shape: Shape, discs: Discs) -> Floats:
     """Return the discs in the reference's modes, mean by mean, and the scatterers: shape (n, MEANS D + 6 CELLS L)."""
     size = shape.width, shape.height
     found = vectors_at(discs.centres_m, discs.beads_m, discs.radius_m, size, plate.counts, plate.sums)
-    found[plate.in_plane] *= 2 / shape.h * discs.stretch
+    found[plate.in_plane] *= discs.stretch_per_m
     others = [
         scatterer_vectors(np.array([x, y]), radius, size, plate.counts, plate.sums)
         for x, y, radius, *_ in discs.scatterers

@@ -28,8 +28,7 @@ SPEED_PRIOR, POISSON_PRIOR = 0.02, 0.02
 """Standard deviations of handbook values: of the logarithm of the wave speed, and of Poisson's ratio."""
 LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR, GYRATION_PRIOR = 0.7, 0.5, 0.3, 0.05, 1.5, 1.0
 STRETCH_PRIOR = 0.5
-"""Of how far discs drive the plate's middle in its plane, over what a force on its face does: where a disc is stiff
-beside the plate, the force acts further up."""
+"""Relative, of how far the plate's middle moves a disc in the plane over how far the plate's rotations do."""
 BOND_PRIOR = 0.3
 """Of how much stiffer one disc's bond is than another's, in the unit of stiffness."""
 BEAD_G, BEAD_G_PRIOR, BEAD_MM_PRIOR = 0.05, 0.03, 4.0
@@ -71,7 +70,7 @@ def usual_loss(said: PlateFile) -> float:
 
 def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
     """Return the fit's unknowns for a plate: logarithms of positive numbers, lengths in mm."""
-    p, d = said.plate, said.discs
+    p, d, lever_mm = said.plate, said.discs, lever_mm_of(said)
     found = [
         Unknown("speed", "wave speed", "m/s", 0.0, SPEED_PRIOR),
         Unknown("thickness", "thickness", "mm", 0.0, p.thickness_uncertainty_mm / p.thickness_mm),
@@ -84,7 +83,7 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
         Unknown("radius", "disc diameter", "mm", 0.0, SIZE_PRIOR),
         Unknown("stiffness", "disc stiffness", "1e-7 m^3", 1.0, STIFFNESS_PRIOR),
         Unknown("gyration", "disc gyration, squared", "mm^2", 1.0, GYRATION_PRIOR),
-        Unknown("stretch", "disc stretch over bending", "", 1.0, STRETCH_PRIOR),
+        Unknown("stretch", "disc stretch", "1/mm", 1 / lever_mm, STRETCH_PRIOR / lever_mm),
     ]
     for side, kind in held_sides(said).items():
         start = STARTS[kind]
@@ -108,6 +107,11 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
         bonds.append(Unknown(f"stiffness {k}", f"disc stiffer, {disc}", "1e-7 m^3", 0.0, BOND_PRIOR))
         masses.append(Unknown(f"bead mass {k}", f"disc bead, {disc}", "g", BEAD_G, BEAD_G_PRIOR))
     return (*found, *places, *bonds, *beads, *masses)
+
+
+def lever_mm_of(said: PlateFile) -> float:
+    """Return the height of the discs' middle over the plate's."""
+    return (said.plate.thickness_mm + DISC_THICKNESS_MM) / 2
 
 
 def held_sides(said: PlateFile) -> dict[str, str]:
@@ -140,8 +144,7 @@ class Reader:
         self._said = shape_of(self._plate)
         self._gram_m3 = 1e-3 / material_of(self._plate).rho_kg_m3
         self._scatterer_units = (1e-3, 1e-3, 1e-3, self._gram_m3, STIFFNESS_M3)
-        lever_mm = (said.plate.thickness_mm + DISC_THICKNESS_MM) / 2
-        self._gyration2_m2 = 1e-6 * (lever_mm**2 + said.discs.diameter_mm**2 / 16)
+        self._gyration2_m2 = 1e-6 * (lever_mm_of(said) ** 2 + said.discs.diameter_mm**2 / 16)
         chirp = acquisition.chirp
         self._middle = np.pi * (chirp.start_hz + chirp.stop_hz)
 
@@ -166,7 +169,7 @@ class Reader:
             p[self._beads].reshape(-1, 2) * 1e-3,
             np.maximum(p[self._masses], 0.0) * self._gram_m3,
             self._scatterers(p),
-            max(v["stretch"], 0.0),
+            max(1e3 * v["stretch"], 0.0),
         )
         edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
         return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle), edges)
@@ -191,7 +194,7 @@ class Reader:
             "poisson": ("nu", 1.0), "width": ("width", 1e-3), "height": ("height", 1e-3), "slope": ("slope", 1.0),
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
             "stiffness": ("stiffness", STIFFNESS_M3), "gyration": ("gyration2", self._gyration2_m2),
-            "stretch": ("stretch", 1.0),
+            "stretch": ("stretch", 1e3),
         }  # fmt: skip
         found |= {name: (name, 1.0) for name in self.edges}
         found |= {name: (name, unit) for name, unit in zip(self.scatterers, cycle(self._scatterer_units))}
@@ -221,7 +224,7 @@ class Reader:
             stiffnesses_n_m=tuple((rho * guess.shape.speed2 * discs.stiffness_m3).tolist()),
             lever_mm=1e3 * np.sqrt(discs.lever2_m2), spread=discs.spread,
             beads_mm=tuple(map(tuple, (1e3 * discs.beads_m).tolist())),
-            beads_g=tuple((1e3 * rho * discs.beads_kg_m3).tolist()), stretch=discs.stretch,
+            beads_g=tuple((1e3 * rho * discs.beads_kg_m3).tolist()), stretch_per_mm=1e-3 * discs.stretch_per_m,
             scatterers=tuple(
                 Scatterer(at_mm=(1e3 * x, 1e3 * y), diameter_mm=2e3 * radius, mass_g=1e3 * rho * mass,
                           stiffness_n_m=rho * guess.shape.speed2 * stiffness)

@@ -34,7 +34,7 @@ Array = TypeVar("Array", Floats, Complex)
 
 BASIS, BASIS_OF_MANY = 3.0, 1.8
 """Modes up to this many times the highest frequency are the basis; fewer where a plate has thousands."""
-IN_PLANE = 1.6
+IN_PLANE, IN_PLANE_OF_MANY = 1.6, 1.2
 """The same of modes in the plate's plane."""
 
 
@@ -112,16 +112,17 @@ class ReducedPlate:
     def __init__(self, plate: ElasticPlate, highest_hz: float) -> None:
         self.reference = shape_of(plate)
         self.counts = polynomials_for(plate, highest_hz, LEAST_MARGIN)
-        basis = BASIS_OF_MANY if max(self.counts) > MANY_POLYNOMIALS - 10 else BASIS
+        many = max(self.counts) > MANY_POLYNOMIALS - 10
+        basis, beside = (BASIS_OF_MANY, IN_PLANE_OF_MANY) if many else (BASIS, IN_PLANE)
         unit = float(np.sqrt(stiffness_of(plate).mass))
         bending = solve_classes(plate, self.counts, basis * highest_hz)
         plane_counts = in_plane.polynomials_for(plate, highest_hz)
-        plane = in_plane.solve_classes(plate, plane_counts, IN_PLANE * highest_hz)
+        plane = in_plane.solve_classes(plate, plane_counts, beside * highest_hz)
         self.classes = [_class_of(each, unit, self.counts) for each in bending]
         self.classes += [_class_in_plane(each, unit, plane_counts) for each in plane]
         modes = [len(each.rotary) for each in self.classes]
         self.in_plane = np.repeat(np.arange(len(modes)) >= len(bending), modes)
-        """Which modes lie in the plane, shape (n,): a face moves by u and v where it moves by psi h/2 in others."""
+        """Which modes lie in the plane, shape (n,): they have u and v where others have rotations."""
         self._last: tuple[Shape, BareModes] | None = None
 
     def solve(self, shape: Shape) -> BareModes:
@@ -151,7 +152,7 @@ class ReducedPlate:
         bare = self.solve(shape_of(plate))
         unit = np.sqrt(stiffness_of(plate).mass)
         found = vectors_of(layout, size_m(plate), self.counts, self.sums, self.in_plane)
-        found[self.in_plane] *= 2e3 / plate.thickness_mm * layout.stretch
+        found[self.in_plane] *= 1e3 * layout.stretch_per_mm
         vectors = self.turned(found, bare) / unit
         omega, V = with_discs(np.sqrt(bare.omega2), vectors, layout)
         w = np.empty((len(omega), *self.counts))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from touchd.calibration.disc_response import DiscResponse
 from touchd.calibration.loads import SCATTERER, Discs, Edges, Guess, Loss, attachments, lines_along
 from touchd.calibration.reduced_plate import IN_PLANE, SHAPE_NAMES, ReducedPlate, Shape, shape_of
-from touchd.twin.physics.in_plane import face_modes
+from touchd.twin.physics import in_plane
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.plate import Modes, solve
@@ -29,7 +29,7 @@ LOSS = Loss(5e-3, 0.3, 2 * np.pi * 75e3)
 DISCS = Discs(
     PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa, (LEVER_MM**2 + 1.5**2) * 1e-6,
     BEADS_MM * 1e-3, BEADS_G * 1e-3 / GLASS.rho_kg_m3, np.array([[42e-3, 34e-3, 5e-3, -3e-7, -0.5e-7]]),
-    0.8,
+    150.0,
 )  # fmt: skip
 
 
@@ -52,10 +52,10 @@ def near(plate: ReducedPlate) -> Shape:
     return s._replace(h=1.003 * s.h, width=1.002 * s.width, speed2=1.01 * s.speed2)
 
 
-def every_mode(plate: ReducedPlate, stretch: float) -> Modes:
+def every_mode(plate: ReducedPlate, per_m: float) -> Modes:
     """The plate's modes without discs, those in its plane with them."""
-    faces = face_modes(PLATE, 100e3, plate.counts, IN_PLANE * 100e3, stretch)
-    return Modes(*map(np.concatenate, zip(solve(PLATE, plate.counts, 300e3), faces, strict=True)))
+    others = in_plane.solve(PLATE, 100e3, plate.counts, IN_PLANE * 100e3, per_m)
+    return Modes(*map(np.concatenate, zip(solve(PLATE, plate.counts, 300e3), others, strict=True)))
 
 
 @pytest.mark.parametrize(("lever_mm", "spread"), [(LEVER_MM, 1.0), (0.0, 0.4), (0.0, 0.0)])
@@ -71,9 +71,9 @@ def test_it_is_the_twins(plate: ReducedPlate, lever_mm: float, spread: float) ->
         beads_mm=((4.0, 1.0), (-3.0, 2.0), (0.0, -5.0)),
         beads_g=tuple(BEADS_G),
         scatterers=(HOLE,),
-        stretch=0.8,
+        stretch_per_mm=0.15,
     )
-    modes = load(every_mode(plate, 0.8), PLATE, layout)
+    modes = load(every_mode(plate, 150.0), PLATE, layout)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
     discs = DISCS._replace(gyration2_m2=1e-6 * lever_mm**2 + spread * DISCS.face_m2)
     found = DiscResponse(plate, Guess(plate.reference, discs, LOSS, EDGES), NU).untouched()
@@ -85,8 +85,8 @@ def test_another_plate_in_the_references_modes(plate: ReducedPlate) -> None:
     """Modes of a plate half a percent away are those of its own eigenproblem, to 5e-4."""
     other = ElasticPlate(width_mm=70.2, height_mm=59.9, thickness_mm=5.02, elastic=Material(73e9, 0.235, 2490.0))
     found = plate.solve(shape_of(other)).omega2
-    in_plane = face_modes(other, 100e3, plate.counts, 105e3)
-    for which, exact in ((~plate.in_plane, solve(other, plate.counts, 105e3)), (plate.in_plane, in_plane)):
+    bending, others = solve(other, plate.counts, 105e3), in_plane.solve(other, 100e3, plate.counts, 105e3)
+    for which, exact in ((~plate.in_plane, bending), (plate.in_plane, others)):
         own, expected = np.sqrt(np.sort(found[which])), np.sort(exact.omega_rad_s)
         np.testing.assert_allclose(own[3 : len(expected)], expected[3:], rtol=5e-4)
 
@@ -101,7 +101,7 @@ def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
         gyration2_m2=DISCS.face_m2,
         beads_kg_m3=np.zeros(3),
         scatterers=np.zeros((0, 5)),
-        stretch=0.0,
+        stretch_per_m=0.0,
     )
     guess = Guess(plate.reference, discs, LOSS, EDGES)
     found = DiscResponse(plate, guess, NU, lines_along(plate, EDGES.kinds)).untouched()
@@ -154,7 +154,7 @@ def differences(plate: ReducedPlate, name: str, of: Discs = DISCS) -> Complex:
         name
     )
     if name == "stretch":
-        return central(lambda d: response(discs=of._replace(stretch=of.stretch + d)), 1e-3)
+        return central(lambda d: response(discs=of._replace(stretch_per_m=of.stretch_per_m + d)), 0.1)
     if field:
         value = getattr(of, field)
         return central(lambda d: response(discs=of._replace(**{field: value + d})), 1e-4 * float(np.max(value)))
@@ -174,7 +174,8 @@ def differences(plate: ReducedPlate, name: str, of: Discs = DISCS) -> Complex:
 
 
 NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "gyration2", "radius", "stretch",
-         "x0", "y0", "x1", "y1", "x2", "y2", "bead x0", "bead y1", "bead x2", "bead mass 0", "bead mass 2", "stiffness 1",
+         "x0", "y0", "x1", "y1", "x2", "y2", "bead x0", "bead y1", "bead x2", "bead mass 0",
+         "bead mass 2", "stiffness 1",
          *(f"scatterer {name} 0" for name in SCATTERER), *EDGES.values)  # fmt: skip
 
 

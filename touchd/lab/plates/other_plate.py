@@ -26,8 +26,10 @@ VERSION = 3
 BASIS, BASIS_OF_MANY = 2.2, 1.6
 """Times the band's end: modes that carry the patches; fewer where a plate has thousands, which leave 1e-3 of the
 untouched energy. All modes of the loaded plate are kept: the highest stand for how the plate gives way at a disc."""
-IN_PLANE = 1.8
+IN_PLANE, IN_PLANE_OF_MANY = 1.8, 1.3
 """The same of the modes in the plate's plane."""
+LEVER_M = 3.5e-3
+"""Height of a disc's middle over the plate's: it bends, rolls, stretches, drives and senses there."""
 REACH = 2.5
 """Radii of a disc to which the functions around it reach; less where an edge or another disc is near."""
 LEAST_NEW = 1e-9
@@ -57,11 +59,10 @@ class Patch(NamedTuple):
 def disc_patches(layout: Layout) -> list[Patch]:
     """Return the discs as 2 mm of PZT (7600 kg/m^3, 62 GPa); the bond takes half of their stiffness."""
     radius, density, young, thick = layout.diameter_mm / 2, 7600.0, 62e9, 2e-3
-    lever = 3.5e-3
     return [
         Patch(
-            float(x), float(y), radius, radius, density * thick, density * thick * lever**2,
-            0.5 * young * thick * lever**2 / (1 - 0.3**2), lever_m=lever,
+            float(x), float(y), radius, radius, density * thick, density * thick * LEVER_M**2,
+            0.5 * young * thick * LEVER_M**2 / (1 - 0.3**2), lever_m=LEVER_M,
         )
         for x, y in layout.centres_mm
     ]  # fmt: skip
@@ -85,9 +86,9 @@ def other_modes(plate: Plate, layout: Layout, patches: list[Patch], frequency_hz
     }  # fmt: skip
 
     def compute() -> dict[str, Floats]:
-        basis = BASIS_OF_MANY if max(counts) > 80 else BASIS
+        basis, plane = (BASIS_OF_MANY, IN_PLANE_OF_MANY) if max(counts) > 80 else (BASIS, IN_PLANE)
         modes = _bare(plate, counts, basis * frequency_hz)
-        beside = in_plane.face_modes(plate, frequency_hz, counts, IN_PLANE * frequency_hz)
+        beside = in_plane.solve(plate, frequency_hz, counts, plane * frequency_hz)
         return _patched(modes, beside, plate, layout, patches)._asdict()
 
     return LoadedModes(**remember("other", key, compute))
@@ -103,7 +104,7 @@ def _patched(bending: Modes, in_plane: Modes, plate: Plate, layout: Layout, patc
     modes = Modes(*map(np.concatenate, zip(bending, in_plane, strict=True)))
     n, bent = len(modes.omega_rad_s), len(bending.omega_rad_s)
     basis = _Basis(modes, plate, _around(layout, plate))
-    add = _Sum(basis.count, slice(bent, n), plate)
+    add = _Sum(basis.count, slice(bent, n), material_of(plate).nu)
     s = stiffness_of(plate)
     whole = Patch(0.0, 0.0, 0.0, 0.0, s.mass, s.rotary, s.bending, s.shear)
     for k, disc in enumerate(basis.discs):
@@ -118,8 +119,9 @@ def _patched(bending: Modes, in_plane: Modes, plate: Plate, layout: Layout, patc
     omega = np.sqrt(np.maximum(squares, 0.0))
     omega[:6] = 0.0  # the rigid motions
     V = (root @ vectors).T
-    turned = [basis.outward(c * 1e-3, 0.45e-3 * layout.diameter_mm) for c in layout.centres_mm]
-    return LoadedModes(omega, basis.deflection(V), V @ np.stack(turned, axis=1))
+    turned = np.stack([basis.outward(c * 1e-3, 0.45e-3 * layout.diameter_mm) for c in layout.centres_mm], axis=1)
+    turned[bent:n] /= LEVER_M
+    return LoadedModes(omega, basis.deflection(V), V @ turned)
 
 
 def _around(layout: Layout, plate: Plate) -> list[DiscFunctions]:
@@ -143,23 +145,22 @@ def _inverse_root(mass: Floats) -> Floats:
 class _Sum:
     """Sums the energies of patches: matrices of mass and stiffness between a basis' functions.
 
-    Modes `in_plane` are those that `touchd.twin.physics.in_plane.face_modes` returns.
+    Modes `in_plane` hold displacements in the place of rotations.
     """
 
-    def __init__(self, count: int, in_plane: slice, plate: Plate) -> None:
+    def __init__(self, count: int, in_plane: slice, nu: float) -> None:
         self.mass, self.stiff = np.zeros((2, count, count))
-        self._in_plane, self._half_m, self._nu = in_plane, plate.thickness_mm * 5e-4, material_of(plate).nu
+        self._in_plane, self._nu = in_plane, nu
 
     def __call__(self, at: tuple[NDArray[np.intp], Floats], patch: Patch) -> None:
         """Add a patch's energies; `at` is `_Basis.at` of its points."""
         rows, fields = at
         which, nu, ours = np.ix_(rows, rows), self._nu, self._in_plane
-        # A mode's displacement in the plane, and what it is to a patch that lies at a height.
-        plane = np.zeros_like(fields[1:])
-        plane[:, :, ours] = self._half_m * fields[1:, :, ours]
-        bent = fields[1:].copy()
-        bent[:, :, ours] = plane[:, :, ours] / patch.lever_m if patch.lever_m else 0.0
-        w, (psi_x, psi_y), (u, v) = fields[0], bent, plane
+        # To a patch at a height a displacement in the plane is a rotation.
+        plane, turned = np.zeros_like(fields[1:]), fields[1:].copy()
+        plane[:, :, ours] = fields[1:, :, ours]
+        turned[:, :, ours] *= 1 / patch.lever_m if patch.lever_m else 0.0
+        w, (psi_x, psi_y), (u, v) = fields[0], turned, plane
         own = 0.0 if patch.lever_m else patch.mass_kg_m2
         for total, factor, parts in (
             (self.mass, patch.mass_kg_m2, [w[0]]),

@@ -1,9 +1,9 @@
 """Waves in the plate's own plane, beside its bending waves: a disc on one face drives and senses both.
 
-About the plate's middle the force of a disc's rim on the face is a moment and a force. The latter starts the symmetric
-Lamb wave S0 and, at the edges, the shear wave SH0. What touches the plate lightly pushes across it and leaves them as
-they are, so that they are in the untouched response alone: with discs of 6 mm on 5 mm of glass 3 % of its energy, with
-15 mm a third (twin).
+A disc stretches at its height over the plate's middle, where that is a moment and a force. The latter starts the
+symmetric Lamb wave S0 and, at the edges, the shear wave SH0. What touches the plate lightly pushes across it and leaves
+them as they are, so that they are in the untouched response alone: with discs of 6 mm on 5 mm of glass 3 % of its
+energy, with 15 mm a third (twin).
 
 Displacements u and v in the middle are sums of products of Legendre polynomials, as in `touchd.twin.physics.plate`; the
 energies are those of plane stress. For the frequencies of a free square see Bardell et al. (J. Sound Vib. 191, 1996).
@@ -38,10 +38,8 @@ def solve_classes(plate: Plate, counts: tuple[int, int], below_hz: float = np.in
     return [_solve_class(plate, counts, px, py, below_hz) for px in (0, 1) for py in (0, 1)]
 
 
-def face_modes(
-    plate: Plate, frequency_hz: float, counts: tuple[int, int], below_hz: float, stretch: float = 1.0
-) -> Modes:
-    """Return the modes with what a face feels of them: as rotations that would move it as far, times `stretch`.
+def solve(plate: Plate, frequency_hz: float, counts: tuple[int, int], below_hz: float, per_m: float = 1.0) -> Modes:
+    """Return the modes as a disc feels them beside bending ones: with u and v times `per_m` for rotations.
 
     They resolve waves up to `frequency_hz` and are kept `below_hz`, in any order; `counts` are the polynomials.
     """
@@ -50,7 +48,7 @@ def face_modes(
     for each in classes:
         found = np.zeros((3, len(each.omega_rad_s), *counts))
         for field, values, (along_x, along_y) in zip(found, each.fields, each.places, strict=True):
-            field[:, along_x, along_y] = stretch * 2e3 / plate.thickness_mm * values
+            field[:, along_x, along_y] = per_m * values
         fields.append(found)
     return Modes(np.concatenate([each.omega_rad_s for each in classes]), *np.concatenate(fields, axis=1))
 

@@ -80,8 +80,9 @@ class Layout(BaseModel):
     beads_g: tuple[float, ...] = ()
     """Masses of the beads."""
     scatterers: tuple[Scatterer, ...] = ()
-    stretch: float = Field(default=0.0, ge=0)
-    """How far discs drive and sense the plate's middle in its plane, over what a force on its face does; 0: not."""
+    stretch_per_mm: float = Field(default=0.0, ge=0)
+    """How far the plate's middle moves a disc in the plane, over how far the plate's rotations do: one over the disc's
+    height above it. 0 for discs that feel rotations alone."""
 
     @property
     def centres_mm(self) -> Floats:
@@ -131,11 +132,10 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
 
     def compute() -> dict[str, Floats]:
         modes = solve(plate, parameters["counts"], parameters["basis"] * frequency_hz)
-        if layout.stretch:
-            faces = in_plane.face_modes(
-                plate, 0.8 * frequency_hz, parameters["counts"], parameters["kept"] * frequency_hz, layout.stretch
-            )
-            modes = Modes(*map(np.concatenate, zip(modes, faces, strict=True)))
+        if per_m := 1e3 * layout.stretch_per_mm:
+            below_hz = parameters["kept"] * frequency_hz
+            others = in_plane.solve(plate, 0.8 * frequency_hz, parameters["counts"], below_hz, per_m)
+            modes = Modes(*map(np.concatenate, zip(modes, others, strict=True)))
         return load(modes, plate, layout, parameters["kept"] * frequency_hz)._asdict()
 
     return LoadedModes(**remember("plate", parameters, compute))
@@ -170,7 +170,7 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
     def sums(field: int, weights: Floats) -> Floats:
         return np.asarray(fields[field] @ weights.reshape(len(weights), -1).T)
 
-    vectors = vectors_of(layout, size_m(plate), (counts[0], counts[1]), sums, ~fields[0].any(axis=1))
+    vectors = vectors_of(layout, size_m(plate), (counts[0], counts[1]), sums, np.logical_not(fields[0].any(axis=1)))
     omega, V = with_discs(modes.omega_rad_s, vectors, layout, below_hz)
     discs = vectors[:, : len(layout.centres_mm)]
     return LoadedModes(omega, (V @ fields[0]).reshape(len(V), *counts), V @ discs)
