@@ -396,12 +396,14 @@ def main() -> None:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--double", action="store_true", help="compute in double precision")
     parser.add_argument("--length-ms", type=float, default=1e3 * LENGTH_S)
-    for name, what in (("young-gpa", 71.1), ("poisson", 0.226), ("density", 2490.0), ("loss", 6e-3)):
+    for name, what in (
+        ("young-gpa", 71.1), ("poisson", 0.226), ("density", 2490.0), ("loss", 6e-3), ("disc-mm", 6.0), ("disc-g", 0.43),
+    ):  # fmt: skip
         parser.add_argument(f"--{name}", type=float, default=what)
     asked = parser.parse_args()
     solid = default_solid(
         *(float(side) for side in asked.plate.split("x")), E_pa=asked.young_gpa * 1e9, nu=asked.poisson,
-        rho_kg_m3=asked.density, loss=asked.loss,
+        rho_kg_m3=asked.density, loss=asked.loss, diameter_mm=asked.disc_mm, mass_g=asked.disc_g,
     )  # fmt: skip
     mesh = Mesh(solid, device=asked.device, double=asked.double)
     sys.stdout.write(f"{mesh.x.count} x {mesh.y.count} elements, nodes {mesh.shape}, face {mesh.face_counts()}, "
