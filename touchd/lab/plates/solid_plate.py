@@ -88,7 +88,7 @@ class Axis:
     def __init__(self, length_m: float, count: int, order: int) -> None:
         self.order, self.count, self.step_m = order, count, length_m / count
         top = np.eye(order + 1)[order]
-        self._points = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(top))), [1.0]])
+        self._points = np.concatenate([[-1.0], np.sort(legendre.legroots(legendre.legder(top)).real), [1.0]])
         weights = self.step_m / (order * (order + 1) * legendre.legval(self._points, top) ** 2)
         slopes = self._functions(self._points)[1]
         size = count * order + 1
