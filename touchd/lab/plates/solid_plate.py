@@ -397,7 +397,8 @@ def main() -> None:
     parser.add_argument("--double", action="store_true", help="compute in double precision")
     parser.add_argument("--length-ms", type=float, default=1e3 * LENGTH_S)
     for name, what in (
-        ("young-gpa", 71.1), ("poisson", 0.226), ("density", 2490.0), ("loss", 6e-3), ("disc-mm", 6.0), ("disc-g", 0.43),
+        ("young-gpa", 71.1), ("poisson", 0.226), ("density", 2490.0), ("loss", 6e-3),
+        ("disc-mm", 6.0), ("disc-g", 0.43),
     ):  # fmt: skip
         parser.add_argument(f"--{name}", type=float, default=what)
     asked = parser.parse_args()
