@@ -13,7 +13,8 @@ from scipy.sparse.linalg import eigsh
 from touchd.frame import Plate
 from touchd.lab.plates.cases import GLASS
 from touchd.lab.plates.solid_instrument import SolidInstrument
-from touchd.lab.plates.solid_plate import Mesh, Solid, default_solid, save, simulate
+from touchd.lab.plates.solid_plate import default_solid, save, simulate
+from touchd.lab.plates.spectral_elements import Mesh, Solid
 from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.material import ElasticPlate, Material
 from touchd.twin.physics.plate import solve

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.frame import ACQUISITIONS, Plate
 from touchd.lab.plates.other_plate import Patch, disc_patches, missing, other_modes
+from touchd.lab.plates.solid_instrument import SolidInstrument
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.material import ElasticPlate, Material
@@ -48,6 +50,8 @@ class Case(NamedTuple):
     """Whether two receivers' cables are swapped."""
     acquisition: str = "usb"
     """A name of `touchd.frame.ACQUISITIONS`."""
+    solid: bool = False
+    """Whether `touchd.lab.plates.solid_plate` simulated it, as three-dimensional elasticity."""
 
 
 G220 = (220.0, 160.0, 5.0)
@@ -75,6 +79,11 @@ CASES = {
     "audio-96": Case((200.0, 200.0, 5.0), acquisition="audio-96"),
     "tape-not-said": Case(G220, mounting=Mounting(left="tape")),
     "acrylic-audio-96": Case((190.0, 140.0, 6.0), "acrylic", ACRYLIC, 0.03, said=ACRYLIC_SAID, acquisition="audio-96"),
+    "solid-glass-5": Case(G220, solid=True),
+    "solid-glass-3": Case((180.0, 180.0, 3.0), solid=True),
+    "solid-acrylic-6": Case((190.0, 140.0, 6.0), "acrylic", ACRYLIC, said=ACRYLIC_SAID, solid=True),
+    "solid-discs-10": Case(G220, solid=True),
+    "solid-discs-15": Case(G220, solid=True),
 }
 
 
@@ -86,25 +95,12 @@ class Made(NamedTuple):
     electronics: Electronics
 
 
-def make(name: str, seed: int = 0) -> Made:
-    """Return a case; `seed` draws how the ruler errs."""
+def make(name: str, seed: int = 0, solids: Path = Path()) -> Made:
+    """Return a case; `seed` draws how the ruler errs, and solid plates lie in the folder `solids`."""
     case = CASES[name]
     rng = np.random.default_rng([seed, list(CASES).index(name)])
-    width, height, thickness = case.size_mm
-    # The plate itself keeps its constants for all seeds, so that its modes are computed once.
-    plate = ElasticPlate(
-        width_mm=width + 0.13, height_mm=height - 0.11, thickness_mm=thickness * 0.996,
-        material=case.material, elastic=case.elastic,
-    )  # fmt: skip
-    layout = default_layout(Plate(width_mm=width, height_mm=height))
-    acquisition = ACQUISITIONS[case.acquisition]
-    modes = other_modes(plate, layout, [*_joints(layout), *_flaws(case, plate)], acquisition.chirp.band_hz[1])
-    attachments = case.mounting.on(plate)
-    if attachments:
-        modes = attach(modes, plate, attachments, case.loss, 75e3)
-    instrument = Instrument(
-        plate, layout=layout, loss=case.loss, tilts=case.tilts, modes=modes, acquisition=acquisition
-    )
+    instrument = SolidInstrument(solids / f"{name}.npz") if case.solid else _plate(case)
+    plate, layout = instrument.plate, instrument.layout
     wide = plate.width_mm + 0.15 * rng.standard_normal(), plate.height_mm + 0.15 * rng.standard_normal()
     thick = plate.thickness_mm + 0.015 * rng.standard_normal()
     places = layout.centres_mm + 0.5 * rng.standard_normal((5, 2))
@@ -121,6 +117,22 @@ def make(name: str, seed: int = 0) -> Made:
         },
     }  # fmt: skip
     return Made(instrument, check_plate_file(content), Electronics(noise_db=case.noise_db, gains=GAINS))
+
+
+def _plate(case: Case) -> Instrument:
+    width, height, thickness = case.size_mm
+    # The plate itself keeps its constants for all seeds, so that its modes are computed once.
+    plate = ElasticPlate(
+        width_mm=width + 0.13, height_mm=height - 0.11, thickness_mm=thickness * 0.996,
+        material=case.material, elastic=case.elastic,
+    )  # fmt: skip
+    layout = default_layout(Plate(width_mm=width, height_mm=height))
+    acquisition = ACQUISITIONS[case.acquisition]
+    modes = other_modes(plate, layout, [*_joints(layout), *_flaws(case, plate)], acquisition.chirp.band_hz[1])
+    attachments = case.mounting.on(plate)
+    if attachments:
+        modes = attach(modes, plate, attachments, case.loss, 75e3)
+    return Instrument(plate, layout=layout, loss=case.loss, tilts=case.tilts, modes=modes, acquisition=acquisition)
 
 
 def _joints(layout: Layout) -> list[Patch]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition
-from touchd.lab.plates.solid_plate import Solid
+from touchd.lab.plates.spectral_elements import Solid
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.material import ElasticPlate, Material

@@ -100,10 +100,10 @@ def tapped(
 
 def row(
     name: str, touches: int, seed: int = 0, fingers: Sequence[str] = FINGERS, labels_mm: Sequence[float] = (),
-    sets: int = 1,
+    sets: int = 1, solids: Path = Path(),
 ) -> dict[str, Any]:  # fmt: skip
     """Return one plate's row of the table; without touches only the fit."""
-    made = make(name, seed)
+    made = make(name, seed, solids)
     started_s = time.process_time()
     try:
         fitted = calibrate(made, seed)
@@ -137,16 +137,18 @@ def row(
 def main() -> None:
     """Print a row for each plate named, by default for all."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("plates", nargs="*", default=list(CASES), help=", ".join(CASES))
+    plane = [name for name, case in CASES.items() if not case.solid]
+    parser.add_argument("plates", nargs="*", default=plane, help=", ".join(CASES))
     parser.add_argument("--touches", type=int, default=300)
     parser.add_argument("--seed", type=int, nargs="+", default=[0], help="what the ruler errs by, and the touches")
     parser.add_argument("--fingers", nargs="+", default=FINGERS)
     parser.add_argument("--labels-mm", type=float, nargs="+", default=[], help="also after taps with these errors")
     parser.add_argument("--tap-sets", type=int, default=1, help="sets of taps of each error")
+    parser.add_argument("--solids", type=Path, default=Path(), help="folder of solid plates")
     asked = parser.parse_args()
     for name in asked.plates:
         for seed in asked.seed:
-            found = row(name, asked.touches, seed, asked.fingers, asked.labels_mm, asked.tap_sets)
+            found = row(name, asked.touches, seed, asked.fingers, asked.labels_mm, asked.tap_sets, asked.solids)
             sys.stdout.write(json.dumps({"seed": seed} | found) + "\n")
             sys.stdout.flush()
 
