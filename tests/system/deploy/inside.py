@@ -160,7 +160,7 @@ def replayed(found: dict[str, Any]) -> None:
         assert other != text
         CONFIG.write_text(other)
         found["reload"] = run("systemctl", "reload", "touchd").returncode
-        found["reloaded"] = wait("taken over", lambda: "tracker.dead_band_mm" in journal())
+        found["reloaded"] = says("tracker.dead_band_mm")
         CONFIG.write_text(text)
 
         say("-- SIGTERM during a touch")
@@ -188,8 +188,7 @@ def stuck(found: dict[str, Any]) -> None:
     found["stuck start"] = run("systemctl", "start", "touchd").returncode
     first = show("MainPID")["MainPID"]
     found["stuck restarts"] = wait("restarted", lambda: show("MainPID")["MainPID"] not in (first, "0"))
-    said = journal()
-    found["stuck said"] = {"watchdog": "Watchdog timeout" in said, "where": "in publish" in said}
+    found["stuck said"] = {"watchdog": says("Watchdog timeout"), "where": says("in publish")}
     run("systemctl", "kill", "--signal=KILL", "touchd")
     run("systemctl", "stop", "touchd")
     os.close(end)
@@ -203,7 +202,7 @@ def wrong(found: dict[str, Any]) -> None:
     found["wrong start"] = run("systemctl", "start", "touchd").returncode
     time.sleep(1.0)  # twice the time after which it would be started again
     found["wrong"] = show("ActiveState", "NRestarts", "ExecMainStatus")
-    found["wrong said"] = "device.rate_hz: is -125" in journal()
+    found["wrong said"] = says("device.rate_hz: is -125")
     CONFIG.write_text(text)
 
 
@@ -326,20 +325,29 @@ def mocked(found: dict[str, Any]) -> None:
 
 def took_s(first: str, last: str) -> float:
     """How long it took from one line of the journal to another, the last ones of their kinds."""
-    said = subprocess.run(
-        ["journalctl", "--unit=touchd", "--no-pager", "--output=json"], capture_output=True, text=True, check=True
-    )
-    entries = [json.loads(line) for line in said.stdout.splitlines()]
-    times_us = [
-        [int(e["__MONOTONIC_TIMESTAMP"]) for e in entries if str(e["MESSAGE"]).startswith(text)][-1]
-        for text in (first, last)
-    ]
-    return (times_us[1] - times_us[0]) / 1e6
+    times_us: list[list[int]] = []
+
+    def told() -> bool:
+        entries = [json.loads(line) for line in journal("json").splitlines()]
+        times_us[:] = [
+            [int(e["__MONOTONIC_TIMESTAMP"]) for e in entries if str(e["MESSAGE"]).startswith(text)]
+            for text in (first, last)
+        ]
+        return all(times_us) and times_us[0][-1] <= times_us[1][-1]
+
+    assert wait(f"the journal has '{first}' and '{last}'", told)
+    return (times_us[1][-1] - times_us[0][-1]) / 1e6
 
 
-def journal() -> str:
+def says(text: str) -> bool:
+    """Wait until the journal has a text; False if it does not come to have it."""
+    return wait(f"the journal has '{text}'", lambda: text in journal())
+
+
+def journal(output: str = "cat") -> str:
+    """What the journal has of the service; it takes a message in after its sender has gone on."""
     return subprocess.run(
-        ["journalctl", "--unit=touchd", "--no-pager", "--output=cat"], capture_output=True, text=True, check=True
+        ["journalctl", "--unit=touchd", "--no-pager", f"--output={output}"], capture_output=True, text=True, check=True
     ).stdout
 
 
