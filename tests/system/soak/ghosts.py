@@ -30,7 +30,7 @@ from touchd.evaluation.replay_scores import found_contacts
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.fingers import END_S, FORCES_N, IDLE_S, press_warming
-from touchd.twin.scenes.timeline import Stage, anywhere, line, still
+from touchd.twin.scenes.timeline import Laid, Stage, anywhere, line, still
 
 PIECE_S = 60.0
 HOURS = {"mixed": 3.0}
@@ -192,10 +192,18 @@ def piece(name: str, seed: int, seconds: float = PIECE_S) -> Stage:
     return stage
 
 
-def judge(name: str, seed: int, instrument: Instrument, seconds: float = PIECE_S, *, atlas: bool = True) -> Piece:
-    """Play a piece through the whole pipeline, with the field atlas or by the network alone."""
+def judge(
+    name: str, seed: int, instrument: Instrument, seconds: float = PIECE_S, *, atlas: bool = True,
+    part_s: tuple[float, float] | None = None,
+) -> Piece:  # fmt: skip
+    """Play a piece through the whole pipeline, with the field atlas or by the network alone.
+
+    `part_s` are begin and end of a part, which alone is played; it has to begin untouched, as the whole does.
+    """
     began_s = time.process_time()
     stage = piece(name, seed, seconds)
+    if part_s is not None:
+        _keep(stage, *part_s)
     outcome = play(stage, instrument, seed, Settings.model_validate({"model": {"atlas": atlas}}))
     found = score(stage, outcome)
     places_mm, force_n = stage.truth()
@@ -216,6 +224,18 @@ def judge(name: str, seed: int, instrument: Instrument, seconds: float = PIECE_S
         name, seed, found.touches, found.missed, len(strays), withdrawn, found.split, time.process_time() - began_s,
         strays,
     )  # fmt: skip
+
+
+def _keep(stage: Stage, start_s: float, stop_s: float) -> None:
+    """Leave of a stage what happens from one time to another; it then begins at 0."""
+    part = slice(round(start_s * RATE_HZ), round(stop_s * RATE_HZ))
+    stage.sequence = stage.sequence[part] - stage.sequence[part.start]
+    stage.temperature_c = stage.temperature_c[part]
+    stage.laid = [Laid(one.kind, one.column, *(row[part] for row in one[2:])) for one in stage.laid]
+    tones = [
+        tone._replace(start_s=tone.start_s - start_s, stop_s=tone.stop_s - start_s) for tone in stage.electronics.tones
+    ]
+    stage.electronics = stage.electronics._replace(tones=tuple(tones))
 
 
 def _is_near(fingers_mm: NDArray[np.float32], position_mm: Position) -> bool:
