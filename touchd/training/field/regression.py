@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, cho_factor, cho_solve, lapack, solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.special import j0, j1
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from touchd.evaluation.dataset import BASELINE_NOISE, Dataset, complex_bins
 
@@ -213,11 +214,17 @@ def smooth(inverse: Array, penalty: Array, targets: Array) -> Array:
     return np.asarray(targets - penalty[:, None] * weigh(inverse, targets))
 
 
+@cache
+def _linear_algebra() -> ThreadpoolController:
+    """Find the libraries that this module has loaded, which takes 2 ms: as long as a bin of few touches."""
+    return ThreadpoolController()
+
+
 def each(work: Callable[[int], T], bins: Iterable[int], advance: Callable[[], None] = lambda: None) -> list[T]:
     """Run `work` for each bin on all cores, and call `advance` after each."""
     results = []
     # One bin per core: nested threads of the linear algebra would only compete.
-    with threadpool_limits(1), ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS)) as pool:
+    with _linear_algebra().limit(limits=1), ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS)) as pool:
         for result in pool.map(work, [int(b) for b in bins]):
             results.append(result)
             advance()
