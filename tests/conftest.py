@@ -34,6 +34,7 @@ os.environ["STATE_DIRECTORY"] = _state.name
 gc.disable()
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,7 +47,7 @@ from hypothesis import HealthCheck, settings
 from touchd.evaluation.dataset import Dataset, make_dataset
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
-from touchd.recording.format import write
+from touchd.recording.format import read, write
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
 
@@ -81,7 +82,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Collect garbage again once the tests are imported."""
+    """Collect garbage again once the tests are imported, but of what comes later."""
+    gc.freeze()
     gc.enable()
 
 
@@ -122,31 +124,45 @@ def atlas_model() -> Model:
 
 
 @pytest.fixture(scope="session")
-def instrument(tmp_path_factory: pytest.TempPathFactory) -> Instrument:
-    """The default plate; of the tests' processes one solves its modes, where they are not on disk yet."""
-    with (tmp_path_factory.getbasetemp().parent / "modes.lock").open("w") as lock:
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of this run, that all of its processes have."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Let one of the tests' processes at a time go on."""
+    with path.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@pytest.fixture(scope="session")
+def instrument(shared: Path) -> Instrument:
+    """The default plate; of the tests' processes one solves its modes, where they are not on disk yet."""
+    with alone(shared / "modes.lock"):
         return Instrument(DEFAULT_PLATE)
 
 
 @pytest.fixture(scope="session")
-def scene(instrument: Instrument) -> Scene:
-    """A scene of the twin by its name, computed once."""
-    return cache(lambda name: simulate_scene(name, seed=21, instrument=instrument))
-
-
-@pytest.fixture(scope="session")
-def scene_file(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """A scene of the twin as a file."""
-    folder = tmp_path_factory.mktemp("scenes")
+def scene_file(instrument: Instrument, shared: Path) -> Callable[[str], Path]:
+    """A scene of the twin as a file, computed once: by one of the tests' processes."""
 
     def path_of(name: str) -> Path:
-        path = folder / f"{name}.npz"
-        if not path.exists():
-            write(path, scene(name), compress=False)
+        path = shared / f"scene-{name}.npz"
+        with alone(path.with_suffix(".lock")):
+            if not path.exists():
+                write(path, simulate_scene(name, seed=21, instrument=instrument), compress=False)
         return path
 
     return path_of
+
+
+@pytest.fixture(scope="session")
+def scene(scene_file: Callable[[str], Path]) -> Scene:
+    """A scene of the twin by its name."""
+    return cache(lambda name: read(scene_file(name)))
 
 
 @pytest.fixture(scope="session")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from touchd.recording.data import Recording
-from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.catalogue import SCENES
-from touchd.twin.simulate import simulate_scene
 
 
 def touching(recording: Recording) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
@@ -17,10 +17,9 @@ def touching(recording: Recording) -> np.ndarray[tuple[int, int], np.dtype[np.bo
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_truth(name: str, instrument: Instrument) -> None:
+def test_truth(name: str, scene: Callable[[str], Recording]) -> None:
     """Each scene has a valid truth and begins untouched."""
-    frames = 250 if name in ("palm", "hold", "longhold") else 2000 if name == "drift" else None
-    recording = simulate_scene(name, seed=2, frames=frames, instrument=instrument)
+    recording = scene(name)
     on = touching(recording)
     assert recording.contacts_mm is not None
     assert recording.force_n is not None
