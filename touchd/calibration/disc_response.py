@@ -18,7 +18,7 @@ import numpy as np
 from touchd.calibration.loads import LEAST_RATIO, SCATTERER, Discs, Guess, Lines, disc_vectors
 from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, ReducedPlate, Shape
 from touchd.twin.physics import legendre
-from touchd.twin.physics.transducer import CELLS, MEANS, OTHER_BENDING
+from touchd.twin.physics.transducer import CELL_MASS, CELL_STIFFNESS, CELLS, MEANS, OTHER_BENDING
 
 _PLACE_STEP_M, _STRETCH_STEP_PER_M = 1e-6, 0.1
 ABSENT = 1e-9
@@ -56,11 +56,8 @@ class DiscResponse:
         self._stiff_load = np.tile(discs.stiffness_m3, MEANS) * self._per_stiffness
         self._disc_load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
         self._disc_load[:, -D:] = discs.beads_kg_m3 * inert
-        # Of each scatterer, likewise: (F, 6 CELLS).
-        by_mass, by_stiffness = (
-            np.repeat([0, 0, 0, 1, 1, 1], CELLS) / CELLS,
-            np.repeat([1, other, other, 0, 0, 0], CELLS),
-        )
+        # Of each scatterer, likewise: (F, CELLS times its means).
+        by_mass, by_stiffness = np.repeat(CELL_MASS, CELLS), np.repeat(CELL_STIFFNESS, CELLS)
         self._per_scatterer = inert * by_mass, spring * by_stiffness
         springs = [stiffness * self._per_scatterer[1] for stiffness in discs.scatterers[:, 4]]
         masses = [mass * self._per_scatterer[0] for mass in discs.scatterers[:, 3]]
@@ -141,7 +138,7 @@ class DiscResponse:
         """Return the derivative (R, F) by a number of one scatterer."""
         D = len(self._discs.centres_m)
         if at >= 3:
-            return -self._weighed(self._per_scatterer[at - 3], MEANS * D + 6 * CELLS * k)
+            return -self._weighed(self._per_scatterer[at - 3], MEANS * D + len(CELL_MASS) * CELLS * k)
         along = np.zeros_like(self._discs.scatterers)
         along[k, at] = 1.0
         return self._by_vectors(self._across(self._discs, "scatterers", _PLACE_STEP_M, along))
@@ -228,7 +225,7 @@ class DiscResponse:
                 total -= np.stack([(y * own[:, r]).sum(axis=0) for r in range(1, D)])
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
-            if name in ("width", "height"):
+            if name in ("width", "height") or (name == "h" and len(self._discs.scatterers)):
                 total += self._by_vectors(self._across(self._shape, name, 1e-5 * value))
             found[name] = total
         return found

@@ -86,16 +86,14 @@ class Loss(NamedTuple):
 
 
 def disc_vectors(plate: ReducedPlate, shape: Shape, discs: Discs) -> Floats:
-    """Return the discs in the reference's modes, mean by mean, and the scatterers: shape (n, MEANS D + 6 CELLS L)."""
+    """Return the discs in the reference's modes, mean by mean, and the scatterers: shape (n, MEANS D + C L), C each."""
     size = shape.width, shape.height
     found = vectors_at(discs.centres_m, discs.beads_m, discs.radius_m, size, plate.counts, plate.sums)
     found[plate.in_plane] *= discs.stretch_per_m
     others = [
-        scatterer_vectors(np.array([x, y]), radius, size, plate.counts, plate.sums)
+        scatterer_vectors(np.array([x, y]), radius, size, shape.h, plate.counts, plate.sums, plate.in_plane)
         for x, y, radius, *_ in discs.scatterers
     ]
-    for each in others:  # a hole goes through the plate: it turns no wave into one of the other kind
-        each[plate.in_plane] = 0.0
     return np.asarray(np.sqrt(size[0] * size[1]) * np.concatenate([found, *others], axis=1))
 
 

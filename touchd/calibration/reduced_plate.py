@@ -23,7 +23,6 @@ from touchd.twin.physics.plate import (
     ClassModes,
     Slices,
     polynomials_for,
-    size_m,
     solve_classes,
 )
 from touchd.twin.physics.transducer import Layout, LoadedModes, vectors_of, with_discs
@@ -150,9 +149,7 @@ class ReducedPlate:
         """Return another plate's modes with discs: all of them, as with fewer a disc would yield otherwise."""
         bare = self.solve(shape_of(plate))
         unit = np.sqrt(stiffness_of(plate).mass)
-        found = vectors_of(layout, size_m(plate), self.counts, self.sums, self.in_plane)
-        found[self.in_plane] *= 1e3 * layout.stretch_per_mm
-        vectors = self.turned(found, bare) / unit
+        vectors = self.turned(vectors_of(layout, plate, self.counts, self.sums, self.in_plane), bare) / unit
         omega, V = with_discs(np.sqrt(bare.omega2), vectors, layout)
         w = np.empty((len(omega), *self.counts))
         for turn, part, each in zip(bare.turns, self.to_classes(V.T), self.classes, strict=True):

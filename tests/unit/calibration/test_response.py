@@ -52,9 +52,9 @@ def near(plate: ReducedPlate) -> Shape:
     return s._replace(h=1.003 * s.h, width=1.002 * s.width, speed2=1.01 * s.speed2)
 
 
-def every_mode(plate: ReducedPlate, per_m: float) -> Modes:
+def every_mode(plate: ReducedPlate) -> Modes:
     """The plate's modes without discs, those in its plane with them."""
-    others = in_plane.solve(PLATE, 100e3, plate.counts, IN_PLANE * 100e3, per_m)
+    others = in_plane.solve(PLATE, 100e3, plate.counts, IN_PLANE * 100e3)
     return Modes(*map(np.concatenate, zip(solve(PLATE, plate.counts, 300e3), others, strict=True)))
 
 
@@ -73,7 +73,7 @@ def test_it_is_the_twins(plate: ReducedPlate, lever_mm: float, spread: float) ->
         scatterers=(HOLE,),
         stretch_per_mm=0.15,
     )
-    modes = load(every_mode(plate, 150.0), PLATE, layout)
+    modes = load(every_mode(plate), PLATE, layout)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
     discs = DISCS._replace(gyration2_m2=1e-6 * lever_mm**2 + spread * DISCS.face_m2)
     found = DiscResponse(plate, Guess(plate.reference, discs, LOSS, EDGES), NU).untouched()
@@ -94,7 +94,7 @@ def test_another_plate_in_the_references_modes(plate: ReducedPlate) -> None:
 def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
     """With tape and a clamp the response is that of the twin's modes with the same strips attached."""
     layout = Layout(emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, spread=1)
-    modes = attach(load(every_mode(plate, 0.0), PLATE, layout), PLATE, attachments(EDGES, PLATE), 0.0, 75e3)
+    modes = attach(load(solve(PLATE, plate.counts, 300e3), PLATE, layout), PLATE, attachments(EDGES, PLATE), 0.0, 75e3)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
     discs = DISCS._replace(
         stiffness_m3=np.zeros(3),

@@ -38,8 +38,8 @@ def solve_classes(plate: Plate, counts: tuple[int, int], below_hz: float = np.in
     return [_solve_class(plate, counts, px, py, below_hz) for px in (0, 1) for py in (0, 1)]
 
 
-def solve(plate: Plate, frequency_hz: float, counts: tuple[int, int], below_hz: float, per_m: float = 1.0) -> Modes:
-    """Return the modes as a disc feels them beside bending ones: with u and v times `per_m` for rotations.
+def solve(plate: Plate, frequency_hz: float, counts: tuple[int, int], below_hz: float) -> Modes:
+    """Return the modes as bending ones have them: without a deflection, with u and v in the place of rotations.
 
     They resolve waves up to `frequency_hz` and are kept `below_hz`, in any order; `counts` are the polynomials.
     """
@@ -48,7 +48,7 @@ def solve(plate: Plate, frequency_hz: float, counts: tuple[int, int], below_hz: 
     for each in classes:
         found = np.zeros((3, len(each.omega_rad_s), *counts))
         for field, values, (along_x, along_y) in zip(found, each.fields, each.places, strict=True):
-            field[:, along_x, along_y] = per_m * values
+            field[:, along_x, along_y] = values
         fields.append(found)
     return Modes(np.concatenate([each.omega_rad_s for each in classes]), *np.concatenate(fields, axis=1))
 

@@ -33,6 +33,9 @@ BEAD_M = 1e-3
 """Radius of a bead."""
 CELLS = 7
 """Parts of a scatterer."""
+CELL_STIFFNESS = np.array([1, OTHER_BENDING, OTHER_BENDING, 0, 0, 0, 1, OTHER_BENDING, OTHER_BENDING, 0, 0])
+CELL_MASS = np.array([0, 0, 0, 1, 1, 1, 0, 0, 0, 1, 1]) / CELLS
+"""Shares of a scatterer's stiffness and mass that each mean over a cell counts with."""
 LEAST_MASS = 0.05
 """Share of the plate's mass that a hole leaves of any motion at least."""
 RIGID_RAD_S = 2 * np.pi
@@ -132,9 +135,9 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
 
     def compute() -> dict[str, Floats]:
         modes = solve(plate, parameters["counts"], parameters["basis"] * frequency_hz)
-        if per_m := 1e3 * layout.stretch_per_mm:
+        if layout.stretch_per_mm:
             below_hz = parameters["kept"] * frequency_hz
-            others = in_plane.solve(plate, 0.8 * frequency_hz, parameters["counts"], below_hz, per_m)
+            others = in_plane.solve(plate, 0.8 * frequency_hz, parameters["counts"], below_hz)
             modes = Modes(*map(np.concatenate, zip(modes, others, strict=True)))
         return load(modes, plate, layout, parameters["kept"] * frequency_hz)._asdict()
 
@@ -170,7 +173,8 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
     def sums(field: int, weights: Floats) -> Floats:
         return np.asarray(fields[field] @ weights.reshape(len(weights), -1).T)
 
-    vectors = vectors_of(layout, size_m(plate), (counts[0], counts[1]), sums, np.logical_not(fields[0].any(axis=1)))
+    in_plane = np.logical_not(fields[0].any(axis=1))
+    vectors = vectors_of(layout, plate, (counts[0], counts[1]), sums, in_plane)
     omega, V = with_discs(modes.omega_rad_s, vectors, layout, below_hz)
     discs = vectors[:, : len(layout.centres_mm)]
     return LoadedModes(omega, (V @ fields[0]).reshape(len(V), *counts), V @ discs)
@@ -181,30 +185,36 @@ Sums = Callable[[int, Floats], Floats]
 
 
 def vectors_of(
-    layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums, in_plane: NDArray[np.bool_]
+    layout: Layout, plate: Plate, counts: tuple[int, int], sums: Sums, in_plane: NDArray[np.bool_]
 ) -> Floats:
     """Return the means over a layout's discs, as `vectors_at` does, and over its scatterers.
 
-    A hole goes through the plate, and turns no bending wave into one `in_plane`, as which modes (n,) are.
+    `in_plane` (n,) are the modes without a deflection.
     """
     beads_m = np.array(layout.beads_mm or 0.0) * 1e-3
-    discs = vectors_at(layout.centres_mm * 1e-3, beads_m, layout.diameter_mm / 2e3, size_m, counts, sums)
+    size, thickness_m = size_m(plate), plate.thickness_mm * 1e-3
+    discs = vectors_at(layout.centres_mm * 1e-3, beads_m, layout.diameter_mm / 2e3, size, counts, sums)
+    if layout.stretch_per_mm:
+        discs[in_plane] *= 1e3 * layout.stretch_per_mm
     others = [
-        scatterer_vectors(1e-3 * np.array(each.at_mm), each.diameter_mm / 2e3, size_m, counts, sums)
+        scatterer_vectors(
+            1e-3 * np.array(each.at_mm), each.diameter_mm / 2e3, size, thickness_m, counts, sums, in_plane
+        )
         for each in layout.scatterers
     ]
-    for each in others:
-        each[in_plane] = 0.0
     return np.concatenate([discs, *others], axis=1)
 
 
 def scatterer_vectors(
-    centre_m: Floats, radius_m: float, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums
-) -> Floats:
-    """Return the means over the cells of a scatterer, shape (n, 6 CELLS), mean by mean.
+    centre_m: Floats, radius_m: float, size_m: tuple[float, float], thickness_m: float, counts: tuple[int, int],
+    sums: Sums, in_plane: NDArray[np.bool_],
+) -> Floats:  # fmt: skip
+    """Return the means over the cells of a scatterer, shape (n, len(CELL_MASS) CELLS), mean by mean.
 
-    They are the three rotations around the cell's rim, the deflection, and its moments. A scatterer is moved inwards
-    where it would reach over the edge.
+    Of bending modes they are the three rotations around the cell's rim, the deflection, and its moments; of modes in
+    the plane the three displacements around the rim, counted so that what resists a bending resists them as a plate
+    does, and the mean ones. A hole goes through the plate, and turns no wave of one kind into one of the other. A
+    scatterer is moved inwards where it would reach over the edge.
     """
     size, radius_m = np.array(size_m), min(radius_m, 0.45 * min(size_m))
     centre_m = np.clip(centre_m, 1.1 * radius_m, size - 1.1 * radius_m)
@@ -213,7 +223,11 @@ def scatterer_vectors(
     ring = np.sqrt(0.5) * np.stack([np.cos(around), np.sin(around)], axis=1)
     cells_m = centre_m + radius_m * np.concatenate([np.zeros((1, 2)), ring])
     means = vectors_at(cells_m, np.zeros(2), radius_m / np.sqrt(CELLS), size_m, counts, sums)
-    return means.reshape(len(means), MEANS, CELLS)[:, [0, 1, 2, 3, 6, 7]].reshape(len(means), -1)
+    by_mean = means.reshape(len(means), MEANS, CELLS)
+    found = by_mean[:, [0, 1, 2, 3, 6, 7, 0, 1, 2, 4, 5]]
+    found[in_plane, :6], found[~in_plane, 6:] = 0.0, 0.0
+    found[:, 6:9] *= np.sqrt(12) / thickness_m
+    return found.reshape(len(means), -1)
 
 
 def vectors_at(
@@ -246,18 +260,19 @@ def with_discs(omega_rad_s: Floats, vectors: Floats, layout: Layout, below_hz: f
     `vectors` are those of `vectors_at`.
     """
     discs, others = np.split(vectors, [len(layout.centres_mm) * MEANS], axis=1)
-    scatterers = others.reshape(len(others), len(layout.scatterers), 6, CELLS).transpose(1, 0, 2, 3)
+    cells = others.reshape(len(others), len(layout.scatterers), len(CELL_MASS) * CELLS).transpose(1, 0, 2)
+    springs, weights = (np.repeat(each, CELLS) for each in (CELL_STIFFNESS, CELL_MASS))
     outward, other_1, other_2, mean, *rolls, slope_x, slope_y, bead = np.split(discs, MEANS, axis=1)
     lever, tilt = layout.lever_mm * 1e-3, np.sqrt(layout.spread)
     moved = [mean, *(lever * roll for roll in rolls if lever), *(tilt * slope for slope in (slope_x, slope_y) if tilt)]
     heavy = [(np.concatenate(moved, axis=1), layout.mass_g)]
     heavy += [(bead[:, [k]], mass_g) for k, mass_g in enumerate(layout.beads_g)]
-    cells = list(zip(scatterers, layout.scatterers, strict=True))
-    heavy += [(own[:, 3:].reshape(len(own), -1), each.mass_g / CELLS) for own, each in cells]
+    scatterers = list(zip(cells, layout.scatterers, strict=True))
+    heavy += [((own * np.sqrt(weights))[:, weights > 0], each.mass_g) for own, each in scatterers]
     bending = np.sqrt([1.0, OTHER_BENDING, OTHER_BENDING])
     rims = np.stack([outward, other_1, other_2], axis=2) * bending  # (n, D, 3)
     stiff = [(rims[:, k], each) for k, each in enumerate(layout.stiffnesses_n_m)]
-    stiff += [((own[:, :3] * bending[:, None]).reshape(len(own), -1), each.stiffness_n_m) for own, each in cells]
+    stiff += [((own * np.sqrt(springs))[:, springs > 0], each.stiffness_n_m) for own, each in scatterers]
     B, masses = _weighed([(part, 1e-3 * mass_g) for part, mass_g in heavy])
     # M = 1 + B m B'; its inverse root differs from 1 only in the span of B.
     Q, R = np.linalg.qr(B)
