@@ -173,8 +173,8 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
     def sums(field: int, weights: Floats) -> Floats:
         return np.asarray(fields[field] @ weights.reshape(len(weights), -1).T)
 
-    in_plane = np.logical_not(fields[0].any(axis=1))
-    vectors = vectors_of(layout, plate, (counts[0], counts[1]), sums, in_plane)
+    undeflected = np.logical_not(fields[0].any(axis=1))
+    vectors = vectors_of(layout, plate, (counts[0], counts[1]), sums, undeflected)
     omega, V = with_discs(modes.omega_rad_s, vectors, layout, below_hz)
     discs = vectors[:, : len(layout.centres_mm)]
     return LoadedModes(omega, (V @ fields[0]).reshape(len(V), *counts), V @ discs)
@@ -194,8 +194,7 @@ def vectors_of(
     beads_m = np.array(layout.beads_mm or 0.0) * 1e-3
     size, thickness_m = size_m(plate), plate.thickness_mm * 1e-3
     discs = vectors_at(layout.centres_mm * 1e-3, beads_m, layout.diameter_mm / 2e3, size, counts, sums)
-    if layout.stretch_per_mm:
-        discs[in_plane] *= 1e3 * layout.stretch_per_mm
+    discs[in_plane] *= 1e3 * layout.stretch_per_mm
     others = [
         scatterer_vectors(
             1e-3 * np.array(each.at_mm), each.diameter_mm / 2e3, size, thickness_m, counts, sums, in_plane
