@@ -164,7 +164,7 @@ class Reader:
             p[self._places].reshape(-1, 2) * 1e-3,
             layout.diameter_mm / 2e3 * np.exp(v["radius"]),
             layout.mass_g * self._gram_m3 * np.exp(v["mass"]),
-            STIFFNESS_M3 * np.maximum(v["stiffness"] + p[self._bonds], 0.0),
+            STIFFNESS_M3 * (v["stiffness"] + p[self._bonds]),
             max(self._gyration2_m2 * v["gyration"], 0.0),
             p[self._beads].reshape(-1, 2) * 1e-3,
             np.maximum(p[self._masses], 0.0) * self._gram_m3,
