@@ -217,11 +217,11 @@ class DiscResponse:
                 continue
             total = np.zeros((D - 1, len(self._nu)), dtype=complex)
             slopes, parts = self._plate.slopes(self._shape, name), self._plate.to_classes(x.swapaxes(0, 1))
-            for (K, spin), turn, each, own in zip(slopes, self._bare.turns, self._plate.classes, parts, strict=True):
+            for (K, M), turn, own in zip(slopes, self._bare.turns, parts, strict=True):
                 K = turn.T @ K @ turn
                 y = stiff * _product(K, own[:, 0])
-                if spin:
-                    y -= self._nu**2 * spin * _product(turn.T @ each.rotary @ turn, own[:, 0])
+                if M.any():
+                    y -= self._nu**2 * _product(turn.T @ M @ turn, own[:, 0])
                 total -= np.stack([(y * own[:, r]).sum(axis=0) for r in range(1, D)])
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate

@@ -78,6 +78,10 @@ def _plane_factors(s: Shape) -> Floats:
     ])  # fmt: skip
 
 
+_Factors = tuple[dict[int, Floats], dict[int, Floats]]
+"""Those of the forms of the strain energy, by how many forms a class has, and of the kinetic energy."""
+
+
 class _Class(NamedTuple):
     """The basis modes of one parity: n modes, that bend the plate or lie in its plane."""
 
@@ -88,12 +92,17 @@ class _Class(NamedTuple):
     """Where these stand among all, along x and y."""
     stiff: list[Floats]
     """Twelve or six forms of the strain energy, each (n, n)."""
-    rotary: Floats
-    """Form of the rotations' kinetic energy; the rest follows from the reference's unit mass."""
+    heavy: list[Floats]
+    """Forms of the kinetic energy, of rotations or of the motion across; the rest follows from the reference's unit
+    mass."""
 
-    def stiffness(self, factors: Floats) -> Floats:
-        """Return the sum of the forms times factors."""
-        return np.asarray(sum(factor * form for form, factor in zip(self.stiff, factors, strict=True)))
+    def sums(self, factors: _Factors) -> tuple[Floats, Floats]:
+        """Return stiffness and mass, both (n, n): the forms times their factors."""
+        K, M = (
+            sum(factor * form for form, factor in zip(forms, by_number[len(forms)].tolist(), strict=True))
+            for forms, by_number in zip((self.stiff, self.heavy), factors, strict=True)
+        )
+        return np.asarray(K), np.asarray(M)
 
 
 class BareModes(NamedTuple):
@@ -118,7 +127,7 @@ class ReducedPlate:
         plane = in_plane.solve_classes(plate, plane_counts, IN_PLANE * highest_hz)
         self.classes = [_class_of(each, unit, self.counts) for each in bending]
         self.classes += [_class_in_plane(each, unit, plane_counts) for each in plane]
-        modes = [len(each.rotary) for each in self.classes]
+        modes = [len(each.stiff[0]) for each in self.classes]
         self.in_plane = np.repeat(np.arange(len(modes)) >= len(bending), modes)
         """Which modes lie in the plane, shape (n,): they have u and v where others have rotations."""
         self._last: tuple[Shape, BareModes] | None = None
@@ -132,11 +141,10 @@ class ReducedPlate:
         return modes._replace(omega2=modes.omega2 * (shape.speed2 / unit.speed2))
 
     def _solve(self, shape: Shape) -> BareModes:
-        factors, spin = _factors(shape), (shape.h**2 - self.reference.h**2) / 12
         omega2, turns = [], []
         for each in self.classes:
-            K = each.stiffness(factors[len(each.stiff)])
-            mass = spin * each.rotary
+            K, mass = each.sums(_factors(shape))
+            mass -= each.sums(_factors(self.reference))[1]
             mass[np.diag_indices(len(mass))] += 1
             root = np.linalg.cholesky(mass)
             half = np.linalg.solve(root, K)
@@ -158,13 +166,15 @@ class ReducedPlate:
             w[:, along_x, along_y] = values.reshape(w[:, along_x, along_y].shape)
         return LoadedModes(omega, w, V @ vectors[:, : len(layout.centres_mm)])
 
-    def slopes(self, shape: Shape, name: str) -> list[tuple[Floats, float]]:
-        """Return, for each class, the derivative (n, n) of the stiffness, and the factor of `rotary` in the mass's."""
+    def slopes(self, shape: Shape, name: str) -> list[tuple[Floats, Floats]]:
+        """Return, for each class, the derivatives (n, n) of stiffness and mass."""
         step = 1e-4 * getattr(shape, name)
-        up, down = (shape._replace(**{name: getattr(shape, name) + sign * step}) for sign in (1, -1))
-        above, below, spin = _factors(up), _factors(down), shape.h / 6 if name == "h" else 0.0
-        rates = {forms: (above[forms] - below[forms]) / (2 * step) for forms in above}
-        return [(each.stiffness(rates[len(each.stiff)]), spin) for each in self.classes]
+        ends = [_factors(shape._replace(**{name: getattr(shape, name) + sign * step})) for sign in (1, -1)]
+        stiff, heavy = (
+            {number: (above[number] - below[number]) / (2 * step) for number in above}
+            for above, below in zip(*ends, strict=True)
+        )
+        return [each.sums((stiff, heavy)) for each in self.classes]
 
     def turned(self, values: Floats, bare: BareModes) -> Floats:
         """Turn values in the reference's modes (n, k) into another plate's, class by class."""
@@ -173,7 +183,7 @@ class ReducedPlate:
 
     def to_classes(self, values: Array) -> list[Array]:
         """Split values of the reference's modes, shape (n, ...), by class."""
-        return np.split(values, np.cumsum([len(each.rotary) for each in self.classes])[:-1])
+        return np.split(values, np.cumsum([len(each.stiff[0]) for each in self.classes])[:-1])
 
     def sums(self, field: int, weights: Floats) -> Floats:
         """Return sums of a field's coefficients, of w, psi_x or psi_y, times weights (k, nx, ny), shape (n, k)."""
@@ -184,9 +194,12 @@ class ReducedPlate:
         return np.concatenate(found)
 
 
-def _factors(shape: Shape) -> dict[int, Floats]:
-    """Return the factors of a class' forms by their number."""
-    return {len(factors): factors for factors in (_stiff_factors(shape), _plane_factors(shape))}
+def _factors(s: Shape) -> _Factors:
+    """Return the factors of a class' forms."""
+    across, W, H = (s.h * s.nu / (1 - s.nu)) ** 2 / 12, s.width, s.height
+    stiff = _stiff_factors(s), _plane_factors(s)
+    heavy = np.array([s.h**2 / 12]), np.array([across / W**2, across / H**2, 2 * across / (W * H)])
+    return {len(each): each for each in stiff}, {len(each): each for each in heavy}
 
 
 def _class_of(modes: ClassModes, unit: float, counts: tuple[int, int]) -> _Class:
@@ -196,14 +209,14 @@ def _class_of(modes: ClassModes, unit: float, counts: tuple[int, int]) -> _Class
     w_x, w_y = along.x(w, 0), along.y(w, 0)
     stiff = along.plane(px, py)
     stiff += [_form(a, b) for a, b in ((w_x, w_x), (w_x, px), (px, px), (w_y, w_y), (w_y, py), (py, py))]
-    return _Class(_flat(w, px, py), modes.places, stiff, stiff[8] + stiff[11])
+    return _Class(_flat(w, px, py), modes.places, stiff, [stiff[8] + stiff[11]])
 
 
 def _class_in_plane(modes: ClassModes, unit: float, counts: tuple[int, int]) -> _Class:
     """Return the energies' forms between the modes of one class of waves in the plane."""
     nothing, u, v = (unit * field for field in modes.fields)
     stiff = _Along(modes, counts).plane(u, v)
-    return _Class(_flat(nothing, u, v), modes.places, stiff, np.zeros((len(u), len(u))))
+    return _Class(_flat(nothing, u, v), modes.places, stiff, stiff[:3])
 
 
 class _Along:

@@ -6,7 +6,8 @@ them as they are, so that they are in the untouched response alone: on 5 mm of g
 energy, with 15 mm 8 % (three-dimensional elasticity).
 
 Displacements u and v in the middle are sums of products of Legendre polynomials, as in `touchd.twin.physics.plate`; the
-energies are those of plane stress. For the frequencies of a free square see Bardell et al. (J. Sound Vib. 191, 1996).
+energies are those of plane stress, and of the motion across by which a plate gets thinner where it is stretched (Love's
+correction): on 6 mm of acrylic S0 is 5 % slower for it at 100 kHz.
 """
 
 from __future__ import annotations
@@ -61,6 +62,7 @@ def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_
     ux_x, uy_y, vx_x, vy_y = dx[vx, ux], dy[vy, uy], dx[ux, vx], dy[uy, vy]
     shapes = [(ux_x.shape[1], uy_y.shape[1]), (vx_x.shape[1], vy_y.shape[1])]
     stretch = m.E_pa / (1 - m.nu**2) / m.rho_kg_m3
+    across_m2 = (m.nu / (1 - m.nu)) ** 2 * (plate.thickness_mm * 1e-3) ** 2 / 12
     shear, of_u = stretch * (1 - m.nu) / 2, int(np.prod(shapes[0]))
     K = np.zeros((of_u + int(np.prod(shapes[1])),) * 2)
     K[:of_u, :of_u] = np.kron(stretch * ux_x.T @ ux_x, np.eye(shapes[0][1]))
@@ -68,7 +70,13 @@ def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_
     K[of_u:, of_u:] = np.kron(np.eye(shapes[1][0]), stretch * vy_y.T @ vy_y)
     K[of_u:, of_u:] += np.kron(shear * vx_x.T @ vx_x, np.eye(shapes[1][1]))
     K[of_u:, :of_u] = stretch * m.nu * np.kron(ux_x, vy_y.T) + shear * np.kron(vx_x.T, uy_y)
-    squared, vectors = np.linalg.eigh(K, UPLO="L")
+    divergence = np.hstack([np.kron(ux_x, np.eye(shapes[0][1])), np.kron(np.eye(shapes[1][0]), vy_y)])
+    mass = across_m2 * divergence.T @ divergence
+    mass[np.diag_indices(len(mass))] += 1
+    K[:of_u, of_u:] = K[of_u:, :of_u].T
+    inverse = np.linalg.inv(np.linalg.cholesky(mass))
+    squared, vectors = np.linalg.eigh(inverse @ K @ inverse.T)
+    vectors = inverse.T @ vectors
     omega = np.sqrt(np.maximum(squared, 0.0))
     if (px, py) != (1, 0):
         omega[0] = 0.0  # a rigid motion: along x or y, or a turn
