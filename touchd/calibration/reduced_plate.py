@@ -33,7 +33,7 @@ Array = TypeVar("Array", Floats, Complex)
 
 BASIS, BASIS_OF_MANY = 3.0, 1.8
 """Modes up to this many times the highest frequency are the basis; fewer where a plate has thousands."""
-IN_PLANE = 1.3
+IN_PLANE, IN_PLANE_OF_MANY = 1.3, 1.05
 """The same of modes in the plate's plane: with twice as many a fit leaves half of 2e-4 (twin)."""
 
 
@@ -120,11 +120,12 @@ class ReducedPlate:
     def __init__(self, plate: ElasticPlate, highest_hz: float) -> None:
         self.reference = shape_of(plate)
         self.counts = polynomials_for(plate, highest_hz, LEAST_MARGIN)
-        basis = BASIS_OF_MANY if max(self.counts) > MANY_POLYNOMIALS - 10 else BASIS
+        many = max(self.counts) > MANY_POLYNOMIALS - 10
+        basis, beside = (BASIS_OF_MANY, IN_PLANE_OF_MANY) if many else (BASIS, IN_PLANE)
         unit = float(np.sqrt(stiffness_of(plate).mass))
         bending = solve_classes(plate, self.counts, basis * highest_hz)
         plane_counts = in_plane.polynomials_for(plate, highest_hz)
-        plane = in_plane.solve_classes(plate, plane_counts, IN_PLANE * highest_hz)
+        plane = in_plane.solve_classes(plate, plane_counts, beside * highest_hz)
         self.classes = [_class_of(each, unit, self.counts) for each in bending]
         self.classes += [_class_in_plane(each, unit, plane_counts) for each in plane]
         modes = [len(each.stiff[0]) for each in self.classes]

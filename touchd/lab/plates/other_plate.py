@@ -22,7 +22,7 @@ from touchd.twin.physics.transducer import Layout, LoadedModes
 
 Floats = NDArray[np.float64]
 
-VERSION = 3
+VERSION = 4
 BASIS, BASIS_OF_MANY = 2.2, 1.6
 """Times the band's end: modes that carry the patches; fewer where a plate has thousands, which leave 1e-3 of the
 untouched energy. All modes of the loaded plate are kept: the highest stand for how the plate gives way at a disc."""
