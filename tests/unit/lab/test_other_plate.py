@@ -10,7 +10,7 @@ from touchd.twin.physics.plate import solve
 from touchd.twin.physics.transducer import Layout
 
 PLATE = ElasticPlate(width_mm=50, height_mm=40, thickness_mm=5, elastic=MATERIALS["glass"])
-LAYOUT = Layout(emitter_mm=(12, 20), receivers_mm=((38, 8),), diameter_mm=1e-3)
+LAYOUT = Layout(emitter_mm=(12, 20), receivers_mm=((38, 8),), diameter_mm=1e-2)
 WHOLE = {"x_mm": 25.0, "y_mm": 20.0, "half_x_mm": 25.0, "half_y_mm": 20.0, "round": False}
 
 

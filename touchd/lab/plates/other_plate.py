@@ -22,7 +22,7 @@ from touchd.twin.physics.transducer import Layout, LoadedModes
 
 Floats = NDArray[np.float64]
 
-VERSION = 4
+VERSION = 5
 BASIS, BASIS_OF_MANY = 2.2, 1.6
 """Times the band's end: modes that carry the patches; fewer where a plate has thousands, which leave 1e-3 of the
 untouched energy. All modes of the loaded plate are kept: the highest stand for how the plate gives way at a disc."""
@@ -161,11 +161,12 @@ class _Sum:
         plane[:, :, ours] = fields[1:, :, ours]
         turned[:, :, ours] *= 1 / patch.lever_m if patch.lever_m else 0.0
         w, (psi_x, psi_y), (u, v) = fields[0], turned, plane
-        own = 0.0 if patch.lever_m else patch.mass_kg_m2
+        own, across = (0.0, 0.0) if patch.lever_m else (patch.mass_kg_m2, patch.rotary_kg * (nu / (1 - nu)) ** 2)
         for total, factor, parts in (
             (self.mass, patch.mass_kg_m2, [w[0]]),
             (self.mass, patch.rotary_kg, [psi_x[0], psi_y[0]]),
             (self.mass, own, [u[0], v[0]]),
+            (self.mass, across, [u[1] + v[2]]),
             (self.stiff, patch.bending_n_m * (1 + nu) / 2, [psi_x[1] + psi_y[2]]),
             (self.stiff, patch.bending_n_m * (1 - nu) / 2, [psi_x[1] - psi_y[2], psi_x[2] + psi_y[1]]),
             (self.stiff, patch.stretch_n_m * (1 + nu) / 2, [u[1] + v[2]]),
