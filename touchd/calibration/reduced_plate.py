@@ -142,10 +142,11 @@ class ReducedPlate:
         return modes._replace(omega2=modes.omega2 * (shape.speed2 / unit.speed2))
 
     def _solve(self, shape: Shape) -> BareModes:
+        (stiff, heavy), (_, there) = _factors(shape), _factors(self.reference)
+        more = {number: factors - there[number] for number, factors in heavy.items()}
         omega2, turns = [], []
         for each in self.classes:
-            K, mass = each.sums(_factors(shape))
-            mass -= each.sums(_factors(self.reference))[1]
+            K, mass = each.sums((stiff, more))
             mass[np.diag_indices(len(mass))] += 1
             root = np.linalg.cholesky(mass)
             half = np.linalg.solve(root, K)

@@ -67,7 +67,7 @@ def test_in_plane_as_bardell() -> None:
 
 
 def test_rigid_motions_cost_nothing() -> None:
-    """Six rigid motions, of the plate with its discs, against a motion as large that is none."""
+    """Six rigid motions, of the plate with its discs, against a motion as large that strains it."""
     mesh = Mesh(SMALL, double=True)
     z, x, y = np.meshgrid(mesh.z.nodes_m, mesh.x.nodes_m, mesh.y.nodes_m, indexing="ij")
     o, one = np.zeros_like(x), np.full_like(x, 0.03)

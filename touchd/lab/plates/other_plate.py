@@ -100,8 +100,8 @@ def _bare(plate: Plate, counts: tuple[int, int], below_hz: float) -> Modes:
     return Modes(**remember("bare", key, lambda: solve(plate, counts, below_hz)._asdict()))
 
 
-def _patched(bending: Modes, in_plane: Modes, plate: Plate, layout: Layout, patches: list[Patch]) -> LoadedModes:
-    modes = Modes(*map(np.concatenate, zip(bending, in_plane, strict=True)))
+def _patched(bending: Modes, beside: Modes, plate: Plate, layout: Layout, patches: list[Patch]) -> LoadedModes:
+    modes = Modes(*map(np.concatenate, zip(bending, beside, strict=True)))
     n, bent = len(modes.omega_rad_s), len(bending.omega_rad_s)
     basis = _Basis(modes, plate, _around(layout, plate))
     add = _Sum(basis.count, slice(bent, n), material_of(plate).nu)

@@ -135,10 +135,10 @@ def row(
 
 
 def main() -> None:
-    """Print a row for each plate named, by default for all."""
+    """Print a row for each plate named, by default for all but solid ones."""
     parser = argparse.ArgumentParser(description=__doc__)
-    plane = [name for name, case in CASES.items() if not case.solid]
-    parser.add_argument("plates", nargs="*", default=plane, help=", ".join(CASES))
+    every = [name for name, case in CASES.items() if not case.solid]
+    parser.add_argument("plates", nargs="*", default=every, help=", ".join(CASES))
     parser.add_argument("--touches", type=int, default=300)
     parser.add_argument("--seed", type=int, nargs="+", default=[0], help="what the ruler errs by, and the touches")
     parser.add_argument("--fingers", nargs="+", default=FINGERS)
