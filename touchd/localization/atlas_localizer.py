@@ -99,6 +99,7 @@ class AtlasLocalizer:
                 self._prediction.reset()
                 self._search.cancel()
                 self._drift.reset()
+                self._classifier.palm.reset()
         if self._plate.observe(detection):
             self._classifier.dry()
         return UNTOUCHED
@@ -159,8 +160,10 @@ class AtlasLocalizer:
         least = limits.keep_confidence if alive else limits.min_confidence
         self._touches, inferred = self._place(detection, least, complete, begun)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
-        touches = self._beside.add(detection, self._touches, self._classifier.palm.area, self._touch_maker, limits)
-        return Localization(outcome, touches, self._departure, self._plate_moved, self._classifier.palm.covers)
+        palm = self._classifier.palm
+        touches = self._beside.add(detection, self._touches, palm.area, self._touch_maker, limits)
+        palm.beside_mm = self._beside.place_mm
+        return Localization(outcome, touches, self._departure, self._plate_moved, palm.covers)
 
     def _place(
         self, detection: Detection, min_confidence: float, complete: bool, begun: Fitted | None

@@ -24,6 +24,7 @@ from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.plate_model import PlateModel
 from touchd.localization.position_error import PositionError
 from touchd.localization.pursuit import Pursuit
+from touchd.localization.spline import Position
 from touchd.touch import PalmArea, Touch
 
 BEFORE_NS = 44_000_000
@@ -40,6 +41,10 @@ REACH_MM = 8.0
 """No finger goes farther in a frame."""
 SAME_MM = 15.0
 """Nearer to a finger that the whole frame shows it is that one."""
+STIRS = 0.3
+"""A hand stirs if a contact of this amplitude is the most of what has changed."""
+STILL_NS, STILL_REACH_MM = 200_000_000, 40.0
+"""Where nothing has stirred for so long, what lands this far from a hand's middle is no part of it."""
 _STEPS, _FOLLOW_STEPS = 5, 3
 
 
@@ -49,6 +54,8 @@ class _Before(NamedTuple):
     t_ns: int
     vector: Array
     mask: Array | None
+    still: bool
+    """Whether nothing had stirred for a while."""
 
 
 class _Found(NamedTuple):
@@ -81,7 +88,12 @@ class BesidePalm:
         self._frames: deque[_Before] = deque()
         self._before: _Before | None = None  # what a finger that is followed is compared with
         self._finger: _Found | None = None
-        self._largest, self._scanned_ns = 0.0, 0
+        self._largest, self._scanned_ns, self._stirred_ns = 0.0, 0, 0
+
+    @property
+    def place_mm(self) -> Position | None:
+        """Where the finger is."""
+        return self._finger.fit.positions_mm[0] if self._finger else None
 
     def add(
         self, detection: Detection, touches: tuple[Touch, ...], palm: PalmArea | None, maker: TouchMaker,
@@ -98,10 +110,13 @@ class BesidePalm:
         t_ns, bins = detection.t_ns, self._plate.bins(detection.residual, detection.hits)
         if self._frames and t_ns <= self._frames[-1].t_ns:
             self.reset()  # the clock went back
-        self._frames.append(_Before(t_ns, bins.vector.copy(), bins.mask))
+        if not self._frames:
+            self._stirred_ns = t_ns
+        still = t_ns - self._stirred_ns >= STILL_NS
+        self._frames.append(_Before(t_ns, bins.vector.copy(), bins.mask, still))
         while len(self._frames) > 1 and self._frames[1].t_ns <= t_ns - BEFORE_NS:
             self._frames.popleft()
-        self._finger = self._follow(bins, limits) if self._finger else self._land(bins, t_ns, palm, limits)
+        self._finger = self._follow(bins, palm, limits) if self._finger else self._land(bins, t_ns, palm, limits)
         if self._finger is None:
             return touches
         fit, excess = self._finger
@@ -129,13 +144,16 @@ class BesidePalm:
         if not starts:
             return None
         fit = self._solver.with_shapes(change, min(starts, key=lambda one: one.residual_energy), noise)
+        if abs(fit.amplitudes[0]) > STIRS:
+            self._stirred_ns = t_ns
         found = self._found(change, fit, limits.min_confidence)
-        if found is None or palm.has(*fit.positions_mm[0]):
+        reach_mm = min(STILL_REACH_MM, palm.reach_mm) if before.still else palm.reach_mm or math.inf
+        if found is None or math.dist(fit.positions_mm[0], (palm.x_mm, palm.y_mm)) < reach_mm:
             return None
         self._before, self._largest = before, abs(fit.amplitudes[0])
         return found
 
-    def _follow(self, bins: Bins, limits: ModelSettings) -> _Found | None:
+    def _follow(self, bins: Bins, palm: PalmArea, limits: ModelSettings) -> _Found | None:
         assert self._before is not None  # a finger is followed
         assert self._finger is not None
         change = _change(bins, self._before)
@@ -145,7 +163,9 @@ class BesidePalm:
         size = abs(fit.amplitudes[0])
         self._largest = max(self._largest, size)
         found = self._found(change, fit, limits.keep_confidence)
-        if found and size > LIFTED * self._largest and math.dist(fit.positions_mm[0], place_mm) < REACH_MM:
+        (now_mm,) = fit.positions_mm
+        own = math.dist(now_mm, (palm.x_mm, palm.y_mm)) < min(STILL_REACH_MM, palm.reach_mm)
+        if found and not own and size > LIFTED * self._largest and math.dist(now_mm, place_mm) < REACH_MM:
             return found
         self.reset()
         return None

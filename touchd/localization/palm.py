@@ -16,9 +16,11 @@ from __future__ import annotations
 
 import math
 from operator import mul
+from statistics import fmean as mean
 
 from touchd.localization.contact_model import mean_moment_mm2
 from touchd.localization.fit import Fit
+from touchd.localization.spline import Position
 from touchd.touch import PalmArea
 
 CONTACTS, MOMENT_MM2, SIZE = 3, 4.2, 2.0
@@ -26,17 +28,26 @@ CONTACTS, MOMENT_MM2, SIZE = 3, 4.2, 2.0
 of dry glass where a drop was learned, the shape is noise."""
 LARGE_MM2, LARGE_SIZE, LARGE_TOGETHER, UNLIKE = 2.7, 13.0, 22.0, 0.04
 """Or one as large as a thumb has such an amplitude, or several together, and the fit leaves such a share, ..."""
+HUGE_SIZE = 15.0
+"""Or one of so many has such an amplitude, ..."""
 POOR_SIZE, POOR = 5.0, 0.3
 """... or contacts of any shape have such an amplitude and leave such a share: ..."""
 STAYS_NS = 50_000_000
 """... they are a hand if they do so for as long. A finger that lands beside others is found sooner."""
-REACH_MM = 60.0
-"""Of a palm from its middle, where the contacts weigh by their energy."""
+LOST_NS = 150_000_000
+"""What was never placed is one if it stays for as long. A search for five fingers ends sooner."""
+REACH_MM = 55.0
+"""Of a palm from its middle, the mean of where contacts were seen: it errs by 11 mm, by 27 of one hand in ten (twin).
+Weighed by their energy, the heels' is twice as far off."""
+SAME_MM, LATELY_NS = 12.0, 500_000_000
+"""Contacts nearer than that in two frames are one. Before a palm is known those count that it showed within this time:
+of a hand that lands at once soon nothing is placed any more."""
 GONE_NS = 300_000_000
 """A palm is forgotten when no contact has been within its reach for so long."""
 LIFTS = 0.8
 """Below this share of the last frame's signal fingers lift, and are not covered by a hand."""
-EVERYWHERE = PalmArea(0.0, 0.0, math.inf)
+EVERYWHERE, NOWHERE = PalmArea(0.0, 0.0, math.inf), PalmArea(0.0, 0.0, 0.0)
+"""Of a hand that is about to be known, and of one that landed all at once, so that nothing of it was ever placed."""
 
 
 class Palm:
@@ -56,8 +67,13 @@ class Palm:
         self.covers: PalmArea | None = None
         """Where a contact that ends in this frame has not lifted: on the palm, or anywhere until it is known."""
         self._until_ns = 0
-        self._since_ns: int | None = None  # of what may be a hand
-        self._signal = 0.0
+        self._since_ns: int | None = None  # of what may be a hand, ...
+        self._alike = False  # ... and whether it has looked like one
+        self._signal, self._missed = 0.0, False  # missed: nothing of the last frame was placed
+        self.beside_mm: Position | None = None
+        """Where a finger is beside it."""
+        self._heavy_mm = 0.0, 0.0  # middle by energy, of the last contacts
+        self._places: list[tuple[int, float, float]] = []  # where contacts were seen, and when
 
     def contacts(self, fit: Fit, excess: float, signal: float, t_ns: int) -> set[int]:
         """Return the indices of a fit's contacts that are a palm's, or water that lies within its reach.
@@ -66,10 +82,15 @@ class Palm:
         """
         if self.area is None and excess <= UNLIKE and len(fit.shapes) < CONTACTS:  # the usual case
             self._since_ns, self._signal, self.covers = None, signal, None
+            self._alike = self._missed = False
+            self._places.clear()
             return set()
         self._look(fit, excess, t_ns)
         if self.area is not None and t_ns > self._until_ns:
             self.reset()
+        if self._missed and excess <= UNLIKE and self.area is not None:
+            self._be_where(fit)
+        self._missed = False
         self._cover(signal, doubtful=self._since_ns is not None)
         if self.area is None:
             return set()
@@ -82,6 +103,7 @@ class Palm:
     def miss(self, fit: Fit, excess: float, signal: float, t_ns: int) -> None:
         """Take a frame of which nothing is placed: a palm that is known lies there until little is left unexplained."""
         self._look(fit, excess, t_ns)
+        self._missed = True
         if self.area is not None and t_ns <= self._until_ns and excess > UNLIKE:
             self.see(t_ns)
         self._cover(signal, doubtful=self._since_ns is not None or excess > POOR)
@@ -96,15 +118,46 @@ class Palm:
             mean_moment_mm2(z, shape) if size > SIZE else 0.0
             for z, shape, size in zip(fit.amplitudes, fit.shapes, sizes, strict=False)
         ]
-        huge = len(moments_mm2) >= CONTACTS and max(moments_mm2) > MOMENT_MM2
+        huge = len(moments_mm2) >= CONTACTS and (max(moments_mm2) > MOMENT_MM2 or max(sizes) > HUGE_SIZE)
         large = sum(size for size, moment_mm2 in zip(sizes, moments_mm2, strict=False) if moment_mm2 > LARGE_MM2)
         unlike = excess > UNLIKE and large > (LARGE_SIZE if len(sizes) == 1 else LARGE_TOGETHER)
+        if sizes:
+            self._remember(fit, sizes, t_ns)
         if huge or unlike or (excess > POOR and sum(sizes) > POOR_SIZE):
-            self._since_ns = t_ns if self._since_ns is None else min(t_ns, self._since_ns)
+            self._since_ns = t_ns if self._since_ns is None or not self._alike else min(t_ns, self._since_ns)
+            self._alike = True
             if t_ns - self._since_ns >= STAYS_NS:
-                weights = [size * size for size in sizes]
-                x_mm, y_mm = (sum(map(mul, weights, at)) / sum(weights) for at in zip(*fit.positions_mm, strict=True))
-                self.area = PalmArea(x_mm, y_mm, REACH_MM)
+                self.area = self._area()
                 self.see(t_ns)
         elif excess <= UNLIKE:
-            self._since_ns = None
+            self._since_ns, self._alike = None, False
+            self.area = None if self.area is NOWHERE else self.area
+        elif excess > POOR and not sizes and self.area is None:
+            self._since_ns = t_ns if self._since_ns is None else min(t_ns, self._since_ns)
+            if t_ns - self._since_ns >= (STAYS_NS if self._alike else LOST_NS):
+                self.area = self._area() if self._alike else NOWHERE
+                self.see(t_ns)
+
+    def _remember(self, fit: Fit, sizes: list[float], t_ns: int) -> None:
+        weights = [size * size for size in sizes]
+        x_mm, y_mm = (sum(map(mul, weights, at)) / sum(weights) for at in zip(*fit.positions_mm, strict=True))
+        self._heavy_mm = x_mm, y_mm
+        if self.area is None:
+            self._places = [place for place in self._places if t_ns - place[0] < LATELY_NS]
+        for now in fit.positions_mm:
+            self._places = [place for place in self._places if math.dist(place[1:], now) > SAME_MM]
+            self._places.append((t_ns, *now))
+
+    def _be_where(self, fit: Fit) -> None:
+        """Lie where contacts are of which nothing was placed before: a palm does not vanish in a frame."""
+        own = [
+            place for place in fit.positions_mm if self.beside_mm is None or math.dist(place, self.beside_mm) > SAME_MM
+        ]
+        if self.area is not None and own and not any(self.area.has(*place) for place in own):
+            self._places = [place for place in self._places if place[1:] in own]
+            self.area = self._area()
+
+    def _area(self) -> PalmArea:
+        near = [place[1:] for place in self._places if math.dist(place[1:], self._heavy_mm) < REACH_MM]
+        x_mm, y_mm = map(mean, zip(*(near or [self._heavy_mm]), strict=True))
+        return PalmArea(x_mm, y_mm, REACH_MM)

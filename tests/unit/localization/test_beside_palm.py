@@ -9,16 +9,19 @@ import pytest
 from tests.fields import Finger
 from tests.unit.localization.rig import Rig
 from touchd.config.schema import ModelSettings
-from touchd.localization.beside_palm import BEFORE_NS, REACH_MM
+from touchd.localization.beside_palm import BEFORE_NS, REACH_MM, STILL_NS, STILL_REACH_MM
+from touchd.localization.palm import NOWHERE
 from touchd.touch import PalmArea, Touch
 
-PALM = PalmArea(30.0, 45.0, 45.0)
+PALM = PalmArea(30.0, 45.0, 55.0)
 PATCHES: list[Finger] = [
     (18.0, 30.0, 3 + 0.4j), (38.0, 25.0, 3 - 0.3j), (28.0, 45.0, 2.5 + 0j), (15.0, 60.0, 4 + 0.5j),
     (45.0, 62.0, 3.5 + 0j),
 ]  # fmt: skip
 """More than are searched for, beside a finger."""
 FINGER: Finger = (95.0, 50.0, 1 + 0.05j)
+NEAR: Finger = (PALM.x_mm + (STILL_REACH_MM + PALM.reach_mm) / 2, 50.0, 1 + 0.05j)
+STILL = (STILL_NS + 2 * BEFORE_NS) // 4_000_000
 SETTLED = 2 * BEFORE_NS // 4_000_000
 
 
@@ -74,6 +77,38 @@ def test_what_lies_within_reach(beside: Beside) -> None:
     """The palm's own changes are none, nor is one that lands within its reach."""
     beside.rest()
     assert not any(beside.rest((50.0, 45.0, 1 + 0j), frames=30))
+
+
+def test_near_a_hand_that_lies_still(beside: Beside) -> None:
+    """One within reach is found if nothing has stirred for a while, and not after another has."""
+    assert not any(beside.rest(frames=STILL))
+    assert any(beside.rest(NEAR, frames=8))
+    assert not any(beside.rest()[1:])
+    assert not any(beside.rest(NEAR, frames=8)), "the first one has just lifted"
+    beside.rest(frames=STILL)
+    assert any(beside.rest(NEAR, frames=8))
+
+
+def test_it_slides_onto_the_hand(beside: Beside) -> None:
+    """A finger that comes as near as the hand's own contacts are ends."""
+    beside.rest()
+    assert any(beside.rest(FINGER, frames=8))
+    x, y, z = FINGER
+    seen = [beside.see((x - 0.8 * step, y, z)) for step in range(60)]
+    assert not any(seen[-20:])
+
+
+def test_a_hand_of_unknown_place(beside: Beside) -> None:
+    """Beside it a finger is found anywhere, once nothing has stirred for a while."""
+
+    def rest(*fingers: Finger, frames: int) -> bool:
+        seen = [beside.see(*fingers, palm=NOWHERE) for _ in range(frames)]
+        return any(seen)
+
+    assert not rest(frames=SETTLED)
+    assert not rest(NEAR, frames=8)
+    assert not rest(frames=STILL)
+    assert rest(NEAR, frames=8)
 
 
 def test_one_that_lifts(beside: Beside) -> None:
