@@ -44,10 +44,13 @@ CLAMPED_MM = 0.7
 NEAR_FIELD = 0.08
 """Share of what a scatterer changes that its means miss: near it most, and more on a small plate (twin: half of the
 errors are within a standard error on 90 x 70 mm, nine in ten on 220 x 160 mm)."""
-NOT_SAID = ("loss", "slope", "disc", "edge", "scatterer")
+NOT_SAID = ("loss", "slope", "disc", "edge", "scatterer", "in-plane")
 """Names of parameters that nobody measures begin so: no reason to doubt a fit."""
 ODD_CHANNEL = 10.0
 """A channel that leaves this many times the share of the median channel is odd."""
+BONDED = (
+    "the pane bends as if something were bonded on all of it, or it is laminated: judge its touches by touchd check"
+)
 UNDECIDED = (
     "whether the drawing is mirrored or turned by 180 degrees: a rectangle sounds the same; tap the top left "
     "corner, and then the top right one",
@@ -239,7 +242,13 @@ def judge(
     usual = float(np.median(live)) if live.size else 1.0
     odd = [c for c, share in enumerate(shares) if share > ODD_CHANNEL * usual and share > GOOD_LEFT]
     reasons += [f"receiver {c + 1} does not fit as the others do: check its disc and its place" for c in odd]
-    pulled = [p for p in parameters if p.at_prior and not p.name.startswith(NOT_SAID)]
+    bonded = any(p.at_prior and p.name == "in-plane stiffness" for p in parameters)
+    if bonded:
+        reasons.append(BONDED)
+    pulled = [
+        p for p in parameters
+        if p.at_prior and not p.name.startswith(NOT_SAID) and not (bonded and p.name == "wave speed")
+    ]  # fmt: skip
     reasons += [
         f"{p.name}: {p.said:.4g} {p.unit} was said, {p.fitted:.4g} fits: measure it again".replace("  ", " ")
         for p in pulled
@@ -259,7 +268,9 @@ def judge(
             "chirp at lower frequencies, or take a thicker pane"
         )
     good = (
-        not (short or dead.size or odd or pulled or found or clamped) and left <= GOOD_LEFT and expected_mm <= GOOD_MM
+        not (short or dead.size or odd or pulled or bonded or found or clamped)
+        and left <= GOOD_LEFT
+        and expected_mm <= GOOD_MM
     )
     return Judgement("good" if good else "usable", expected_mm, () if good else tuple(reasons), UNDECIDED)
 

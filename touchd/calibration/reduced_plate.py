@@ -48,6 +48,9 @@ class Shape(NamedTuple):
     width: float
     """Width and height, m."""
     height: float
+    plane: float = 1.0
+    """Stiffness in the plane over mass, over what `speed2` says: what is bonded on a plate loads its bending waves, and
+    otherwise those in its plane."""
 
 
 SHAPE_NAMES = Shape._fields
@@ -199,7 +202,7 @@ class ReducedPlate:
 def _factors(s: Shape) -> _Factors:
     """Return the factors of a class' forms."""
     across, W, H = (s.h * s.nu / (1 - s.nu)) ** 2 / 12, s.width, s.height
-    stiff = _stiff_factors(s), _plane_factors(s)
+    stiff = _stiff_factors(s), s.plane * _plane_factors(s)
     heavy = np.array([s.h**2 / 12]), np.array([across / W**2, across / H**2, 2 * across / (W * H)])
     return {len(each): each for each in stiff}, {len(each): each for each in heavy}
 

@@ -91,6 +91,12 @@ def test_another_plate_in_the_references_modes(plate: ReducedPlate) -> None:
         np.testing.assert_allclose(own[3 : len(expected)], expected[3:], rtol=5e-4)
 
 
+def test_what_is_bonded_on_the_pane(plate: ReducedPlate) -> None:
+    """Waves in the plane alone are faster by the root of their stiffness."""
+    plain, other = (plate.solve(plate.reference._replace(plane=plane)).omega2 for plane in (1.0, 1.21))
+    np.testing.assert_allclose(other, np.where(plate.in_plane, 1.21, 1.0) * plain, rtol=1e-6, atol=1e-3 * plain.mean())
+
+
 def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
     """With tape and a clamp the response is that of the twin's modes with the same strips attached."""
     layout = Layout(emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, spread=1)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.calibration.plate_fit import Judgement, Parameter, judge
+from touchd.calibration.plate_fit import BONDED, Judgement, Parameter, judge
 
 PLAIN = Parameter("thickness", "mm", 5.0, 5.01, 0.005, False)
 GOOD = {
@@ -21,6 +21,14 @@ def test_good() -> None:
     found = judged()
     assert (found.verdict, found.reasons) == ("good", ())
     assert 0.05 < found.expected_mm < 0.1
+
+
+def test_bonded() -> None:
+    """A pane with a display bonded on it bends slowly: nobody is told to measure its wave speed again."""
+    pulled = [Parameter(*one, 0.01, True) for one in (("wave speed", "m/s", 5300.0, 5000.0),
+                                                      ("in-plane stiffness", "", 1.0, 1.12))]  # fmt: skip
+    found = judged(parameters=(*pulled, PLAIN))
+    assert (found.verdict, found.reasons) == ("usable", (BONDED,))
 
 
 @pytest.mark.parametrize(
