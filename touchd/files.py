@@ -96,3 +96,15 @@ def flush(path: str | Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def stamps_of(*paths: Path) -> tuple[tuple[int, int, int] | None, ...]:
+    """Return what tells files from others at the same paths; None for one that is not there."""
+    found: list[tuple[int, int, int] | None] = []
+    for path in paths:
+        try:
+            told = path.stat()
+            found.append((told.st_ino, told.st_mtime_ns, told.st_size))
+        except OSError:
+            found.append(None)
+    return tuple(found)

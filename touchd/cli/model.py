@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from touchd.cli.options import config_option
 from touchd.config.load import load
 from touchd.config.schema import Settings
-from touchd.errors import BusError, OutputError
+from touchd.errors import BusError, ModelError
 from touchd.service.control import SERVICE_PATH, path_of, send
+
+if TYPE_CHECKING:
+    from touchd.localization.model import Model
 
 
 @click.group()
@@ -37,10 +43,7 @@ def install_command(found: tuple[Settings, Path], file: Path) -> None:
     """Copy FILE and the field atlas beside it in the place of the model in use, which is kept as the previous one."""
     from touchd.localization.model_file import install
 
-    settings, socket_path = found
-    target = _target(settings)
-    name = install(file, target).description.name
-    click.echo(f"{target}: {name}; {_tell(socket_path)}")
+    _replace(found, lambda target: install(file, target))
 
 
 @command.command(name="rollback", short_help="Go back to the previous model.")
@@ -49,19 +52,24 @@ def rollback_command(found: tuple[Settings, Path]) -> None:
     """Exchange the model in use with the previous one; a second time undoes it."""
     from touchd.localization.model_file import rollback
 
-    settings, socket_path = found
-    target = _target(settings)
-    name = rollback(target).description.name
-    click.echo(f"{target}: {name}; {_tell(socket_path)}")
+    _replace(found, rollback)
 
 
-def _target(settings: Settings) -> Path:
+def _replace(found: tuple[Settings, Path], by: Callable[[Path], Model]) -> None:
+    """Put another model in the place of the one in use, and have a running daemon take it."""
+    from touchd.localization.model import Model
     from touchd.service.models import installed_path
 
+    settings, socket_path = found
     target = settings.model.path or installed_path()
-    if target.suffix != ".onnx":
-        raise OutputError("not the name of a model", f"model.path {target}", "choose a name that ends in .onnx")
-    return target
+    before = None
+    with suppress(ModelError):  # one that is unusable may be replaced
+        before = Model(target, atlas=False).description.acquisition
+    model = by(target)
+    click.echo(f"{target}: {model.description.name}; {_tell(socket_path)}")
+    if before is not None and model.description.acquisition != before:
+        click.echo("it takes other frames than the one before: should the daemon refuse it, touchd model rollback",
+                   err=True)  # fmt: skip
 
 
 def _tell(socket_path: Path) -> str:
@@ -70,4 +78,4 @@ def _tell(socket_path: Path) -> str:
         send(socket_path, "reload")
     except BusError:
         return "no daemon runs there, the next one takes it"
-    return "the running daemon takes it"
+    return "the running daemon is told to take it"

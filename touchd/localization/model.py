@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import ModelInvalid, ModelMismatch, ModelMissing
+from touchd.files import stamps_of
 from touchd.frame import HANN, Acquisition, Plate
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
@@ -99,6 +100,8 @@ class Model:
 
     def __init__(self, path: Path, *, atlas: bool = True) -> None:
         self.path = path
+        self.stamps = stamps_of(path, atlas_path(path))
+        """What told its files from others at the same path before they were read."""
         self._session = _load(path)
         self.description = _describe(self._session, path)
         self._check_input()

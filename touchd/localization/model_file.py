@@ -7,7 +7,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from touchd.errors import ModelInvalid, ModelMissing, RecordingError
+from touchd.errors import ModelInvalid, ModelMissing, OutputError, RecordingError
 from touchd.files import open_file, replacing, writing
 from touchd.localization.model import Model
 from touchd.recording.format import Reader
@@ -55,8 +55,14 @@ def install(source: Path, target: Path, *, keep: bool = True) -> Model:
     ModelError
         The source is no usable model, or what lies beside it is no atlas, or no recording of the untouched plate.
     OutputError
-        The files cannot be written.
+        The files cannot be written, or the target's name does not end in .onnx.
     """
+    # What lies beside a model is found by this suffix: under another name two models would have the same files.
+    fix = "choose a name that ends in .onnx"
+    if source.suffix != ".onnx":
+        raise ModelInvalid("not the name of a model", str(source), fix)
+    if target.suffix != ".onnx":
+        raise OutputError("not the name of a model", str(target), fix)
     Model(source)
     if (reference := source.with_suffix(".untouched.npz")).exists():
         try:

@@ -15,10 +15,9 @@ import stat
 import struct
 from pathlib import Path
 
-import structlog
-
 from touchd.config.schema import ControlSettings
 from touchd.errors import AddressInUse, BusError, ConfigError
+from touchd.sinks.throttle import Throttle
 
 COMMANDS = ("screen off", "screen on", "reload", "frames")
 SERVICE_PATH = Path("/run/touchd/control")
@@ -29,8 +28,6 @@ _MOST_PER_POLL = 16  # a flood of commands must not hold up a frame
 _MOST_FDS = 4
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_CREDENTIALS.size) + socket.CMSG_SPACE(_MOST_FDS * 4)
-
-log = structlog.get_logger()
 
 
 def path_of(settings: ControlSettings) -> Path | None:
@@ -66,6 +63,7 @@ class Control:
         self.path = path
         self.listeners: list[socket.socket] = []
         """Sockets that came with the commands `frames`, in order: take them from here."""
+        self._refused = Throttle("no such command, or not for this user")
         _clear(path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
@@ -101,7 +99,7 @@ class Control:
             elif command in COMMANDS and command != "frames":
                 found.append(command)
             else:
-                log.warning("no such command, or not for this user", known=COMMANDS)
+                self._refused.warn(known=COMMANDS)
             for unwanted in handed:
                 unwanted.close()
         return found

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from touchd.config.schema import Settings
-from touchd.files import state_folder
+from touchd.files import stamps_of, state_folder
 from touchd.keypad import Layout, load_layout
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
@@ -57,14 +57,18 @@ def layout_of(settings: Settings, model: Model | None) -> Layout | None:
     return load_layout(settings.keypad.layout, model.description.plate)
 
 
-def signature_of(settings: Settings) -> tuple[object, ...]:
+Signature = tuple[Path, bool, tuple[object, ...]]
+
+
+def signature_of(settings: Settings) -> Signature:
     """Return what tells the files of a model from others at the same path."""
     path = model_path(settings)
-    found: list[object] = [path, settings.model.atlas]
-    for file in (path, atlas_path(path)):
-        try:
-            stat = file.stat()
-            found.append((stat.st_ino, stat.st_mtime_ns, stat.st_size))
-        except OSError:
-            found.append(None)
-    return tuple(found)
+    return path, settings.model.atlas, stamps_of(path, atlas_path(path))
+
+
+def signature_in_use(settings: Settings, model: Model | None) -> Signature:
+    """Return that of the files that were read: they may have been replaced while the daemon started."""
+    path, atlas, stamps = signature_of(settings)
+    if model is None:
+        return path, atlas, ()
+    return path, atlas, model.stamps if model.path == path else stamps

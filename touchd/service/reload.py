@@ -17,7 +17,7 @@ from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.service import log as logging
 from touchd.service.messages import Health, Messages
-from touchd.service.models import layout_of, load_model, model_path, signature_of
+from touchd.service.models import layout_of, load_model, model_path, signature_in_use, signature_of
 from touchd.service.preroll import PreRoll
 
 RESTART_ONLY = frozenset({"device", "ni", "audio", "bus", "control", "realtime", "baseline.learn_frames"})
@@ -74,7 +74,7 @@ class Reloader:
         self.settings = settings
         """Those in use."""
         self._read = read
-        self._signature = signature_of(settings)
+        self._signature = signature_in_use(settings, pipeline.model)
         self._pipeline, self._messages, self._health, self._preroll = pipeline, messages, health, preroll
 
     def reload(self) -> None:

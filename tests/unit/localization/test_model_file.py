@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from touchd.errors import ModelInvalid, ModelMissing
+from touchd.errors import ModelInvalid, ModelMissing, OutputError
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
 from touchd.localization.model_file import install, previous_path, put_model, rollback
@@ -45,6 +45,18 @@ def test_installed_again(target: Path) -> None:
     for model in (SMALL, SHIPPED, SHIPPED):
         install(model, target)
     assert rollback(target).description.name == "small"
+
+
+@pytest.mark.parametrize(("source", "to"), [("model.v2", "model.onnx"), ("new.onnx", "plate")])
+def test_names(tmp_path: Path, source: str, to: str) -> None:
+    """What lies beside a model is found by its suffix: under another name nothing is installed, nor taken away."""
+    install(SHIPPED, target := tmp_path / "model.onnx")
+    shutil.copy(SMALL, tmp_path / source)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises((ModelInvalid, OutputError), match="not the name of a model"):
+        install(tmp_path / source, tmp_path / to)
+    assert sorted(tmp_path.iterdir()) == before
+    assert Model(target).description.name == "best"
 
 
 def test_nothing_to_go_back_to(target: Path) -> None:

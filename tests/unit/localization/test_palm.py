@@ -111,31 +111,31 @@ def test_middle() -> None:
     assert (palm.area.x_mm, palm.area.y_mm) == pytest.approx((90.0, 260.0 / 3))
 
 
-def missed(palm: Palm, t_ns: int, length_ns: int) -> int:
-    """Show frames of which nothing is placed; the time of the last one."""
+def missed(palm: Palm, t_ns: int, length_ns: int) -> tuple[int, PalmArea | None]:
+    """Show frames of which nothing is placed; the time of the last one, and where the palm then lies."""
     stop_ns = t_ns + length_ns
     while t_ns < stop_ns:
         t_ns += FRAME_NS
         palm.miss(no_fit(1.0), 1.0, 1.0, t_ns)
-    return t_ns
+    return t_ns, palm.area
 
 
 def test_it_lands_fast() -> None:
     """A hand that is about to be known when nothing of it is placed any more is one, where it was seen."""
     palm = Palm()
     assert palm.contacts(HUGE, BADLY, 1.0, 0) == set()
-    missed(palm, 0, STAYS_NS)
-    assert palm.area is not None
-    assert palm.area.has(*BALL)
+    _, area = missed(palm, 0, STAYS_NS)
+    assert area is not None
+    assert area.has(*BALL)
 
 
 def test_it_lands_at_once() -> None:
     """One of which nothing was ever placed is known, but not where it lies, until contacts explain the frame."""
     palm = Palm()
-    t_ns = missed(palm, 0, LOST_NS - 2 * FRAME_NS)
-    assert palm.area is None, "it may be fingers that are searched for"
-    t_ns = missed(palm, t_ns, 3 * FRAME_NS)
-    assert palm.area == NOWHERE
+    t_ns, area = missed(palm, 0, LOST_NS - 2 * FRAME_NS)
+    assert area is None, "it may be fingers that are searched for"
+    t_ns, area = missed(palm, t_ns, 3 * FRAME_NS)
+    assert area == NOWHERE
     assert palm.contacts(fit_of({BALL: 2.0, FAR: 2.0}, 3.0), WELL, 1.0, t_ns + FRAME_NS) == set()
     assert palm.area is None
 
@@ -145,7 +145,7 @@ def test_it_lay_elsewhere(beside_mm: Position | None, own: set[int]) -> None:
     """What appears elsewhere in a frame, of which nothing was placed before, is what is left of it; a finger is not."""
     palm, t_ns = seen(HUGE, 0.0)
     assert t_ns is not None
-    t_ns = missed(palm, t_ns, 10 * FRAME_NS)
+    t_ns, _ = missed(palm, t_ns, 10 * FRAME_NS)
     palm.beside_mm = beside_mm
     left = fit_of({FAR: 2.0, (FAR[0], FAR[1] + 0.8 * REACH_MM * (2 if beside_mm else 1)): 2.0}, 3.0)
     assert palm.contacts(left, WELL, 1.0, t_ns + FRAME_NS) == own
@@ -155,7 +155,7 @@ def test_a_finger_beside_it() -> None:
     """A contact elsewhere of a frame in which it is seen, too, is a finger's."""
     palm, t_ns = seen(HUGE, 0.0)
     assert t_ns is not None
-    t_ns = missed(palm, t_ns, 10 * FRAME_NS)
+    t_ns, _ = missed(palm, t_ns, 10 * FRAME_NS)
     assert palm.contacts(fit_of({BALL: 2.0, FAR: 2.0}, 3.0), WELL, 1.0, t_ns + FRAME_NS) == {0}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import stat
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from structlog.testing import capture_logs
 
 from touchd.cli.screen import command
 from touchd.config.schema import ControlSettings
@@ -44,6 +46,16 @@ def test_the_verb_says_what_the_daemon_hears(control: Control) -> None:
         done = CliRunner().invoke(command, [state, "--socket", str(control.path)], obj={"config": None})
         assert (done.exit_code, done.output) == (0, "")
     assert control.poll() == ["screen off", "screen on"]
+
+
+def test_a_flood(control: Control) -> None:
+    """What is no command is logged at most once a second, however much comes."""
+    began_s = time.monotonic()
+    with capture_logs() as entries, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        for _ in range(200):
+            sender.sendto(b"no command", str(control.path))
+            assert control.poll() == []
+    assert 1 <= len(entries) <= 1 + time.monotonic() - began_s
 
 
 @given(st.lists(st.binary(max_size=100), max_size=8))

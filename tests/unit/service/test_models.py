@@ -12,7 +12,7 @@ from tests.conftest import Scene
 from touchd.config.schema import Settings
 from touchd.event import Event, HealthEvent
 from touchd.frame import Frame
-from touchd.localization.model import default_model_path
+from touchd.localization.model import Model, default_model_path
 from touchd.localization.model_file import install, rollback
 from touchd.pipeline import Pipeline, Result
 from touchd.service.daemon import find_model
@@ -33,11 +33,11 @@ def settings_of(path: Path) -> Settings:
 class Rig:
     """A pipeline that is fed a scene again and again, and its reloader."""
 
-    def __init__(self, scene: Scene, file: Path, path: Path) -> None:
+    def __init__(self, scene: Scene, file: Path, path: Path, model: Model | None = None) -> None:
         self.frames = scene("circle").frames
         self.number = 0
         settings = settings_of(path)
-        model = find_model(settings)
+        model = model or find_model(settings)
         self.pipeline = Pipeline(scene("circle").acquisition, model, settings)
         messages = Messages(settings, all_but_spectra)
         self.health = Health(ReplaySource(file), self.pipeline, messages, settings.health)
@@ -61,8 +61,8 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def rig(scene: Scene, scene_file: Callable[[str], Path], path: Path) -> Callable[[], Rig]:
-    return lambda: Rig(scene, scene_file("circle"), path)
+def rig(scene: Scene, scene_file: Callable[[str], Path], path: Path) -> Callable[..., Rig]:
+    return lambda *model: Rig(scene, scene_file("circle"), path, *model)
 
 
 def touches(results: list[Result]) -> int:
@@ -109,6 +109,17 @@ def test_another_model(rig: Callable[[], Rig], path: Path) -> None:
     assert one.said().model == "best"
     assert one.pipeline.model is not before
     assert touches(one.feed()) > 100
+
+
+def test_replaced_while_the_daemon_starts(rig: Callable[..., Rig], path: Path) -> None:
+    """Files that are replaced after the model was read, and before the daemon listens, are taken by the next reload."""
+    install(SHIPPED, path)
+    read = Model(path)
+    install(SHIPPED.with_name("small.onnx"), path)
+    one = rig(read)
+    assert one.said().model == "best"
+    one.reloader.reload()
+    assert one.said().model == "small"
 
 
 @pytest.mark.parametrize("how", ["broken", "gone", "half"])
