@@ -2,7 +2,7 @@
 
 The hand's contacts are wider than the model reaches: what they leave of the frame is more than a finger changes. But in
 the time in which a finger lands a hand moves little, and the difference of two frames is the finger's alone. Of taps
-beside hands of six patches it finds three in four; the frame itself shows one in twenty (twin).
+beside hands of six patches it finds nine in ten; the frame itself shows one in twenty (twin).
 """
 
 from __future__ import annotations
