@@ -218,8 +218,9 @@ class DiscResponse:
             total = np.zeros((D - 1, len(self._nu)), dtype=complex)
             slopes, parts = self._plate.slopes(self._shape, name), self._plate.to_classes(x.swapaxes(0, 1))
             for (K, M), turn, own in zip(slopes, self._bare.turns, parts, strict=True):
-                K = turn.T @ K @ turn
-                y = stiff * _product(K, own[:, 0])
+                if not (K.any() or M.any()):  # stiffness in the plane bends nothing
+                    continue
+                y = stiff * _product(turn.T @ K @ turn, own[:, 0])
                 if M.any():
                     y -= self._nu**2 * _product(turn.T @ M @ turn, own[:, 0])
                 total -= np.stack([(y * own[:, r]).sum(axis=0) for r in range(1, D)])
