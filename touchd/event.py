@@ -137,7 +137,7 @@ class HealthEvent(Message, gc=False):
     """Messages that were not made because nobody was subscribed, by topic."""
     model_fit: float | msgspec.UnsetType = msgspec.UNSET
     """Share of a touch's energy that the model explains, 0..1: median of the last 64 touches; absent before 8 and
-    without a field atlas. Below 0.98 the plate calls for another calibration."""
+    without a field atlas. Below 0.97 the plate calls for another calibration."""
     reason: str | None = None
     """Why the device is in this state, or what is wrong with its frames, for a person; last, see `encode`."""
 

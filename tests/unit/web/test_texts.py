@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from touchd.localization.model_fit import WORN
+
 SCRIPTS = Path(__file__).parents[3] / "touchd/web/static"
 COMMENT = re.compile(r"(?<![:'\"`])//.*")
 VALUE = re.compile(r"\$\{[^{}`'\"]*\}")
@@ -57,3 +59,9 @@ def test_texts_stand_in_one_file(name: str) -> None:
 def test_texts_are_noticed(line: str) -> None:
     """A text anywhere else is found."""
     assert len(texts_of(line)) == 1
+
+
+def test_least_fit() -> None:
+    """The page calls for a calibration at the limit of `touchd doctor`."""
+    assert f"LEAST_FIT = {1 - WORN:.2f};" in (SCRIPTS / "panels.js").read_text()
+    assert f"below {100 * (1 - WORN):.0f} % calibrate again" in (SCRIPTS / "texts.js").read_text()

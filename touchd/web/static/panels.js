@@ -3,7 +3,7 @@ import { colour, element, number, onTheme, rem, say } from './dom.js';
 
 const POINTS = 300; // seconds of health
 const CHART_MS = 100;
-const LEAST_FIT = 0.98;
+const LEAST_FIT = 0.97;
 const font = () => `${rem(0.8)}px system-ui, sans-serif`;
 // Of glass, the twin's only coefficient. Messages do not name the plate's material: others have others.
 const PPM_PER_KELVIN = -45;

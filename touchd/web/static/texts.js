@@ -45,7 +45,7 @@ export const texts = {
     lost: ['Lost', 'Frames that never came, since the start.'],
     noise: ['Noise', 'RMS of the untouched plate, ADC counts.'],
     temperature: ['Temperature', 'Against the model’s training, by the plate’s resonances, as of glass.'],
-    model_fit: ['Model fit', 'Share of a touch that the model explains; below 98 % calibrate again.'],
+    model_fit: ['Model fit', 'Share of a touch that the model explains; below 97 % calibrate again.'],
     baseline: ['Baseline', 'Time since the plate was last untouched.'],
     clock: ['Clock', 'How much faster the device’s clock runs.'],
   },
