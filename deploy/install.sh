@@ -66,6 +66,11 @@ install_all() {
     fi
     # The environment names its own place in its scripts.
     grep -rlIZ "$prefix.new" "$new/bin" "$new/pyvenv.cfg" | xargs -0 --no-run-if-empty sed -i "s#$new#$prefix#g"
+    # Drop-ins for systemd, to copy: as in the package, under share/doc.
+    local examples=$new/share/doc/touchd/examples
+    install -d "$examples"
+    sed "s#/usr/bin/touchd#$prefix/bin/touchd#" deploy/audio.conf > "$examples/audio.conf"
+    cp deploy/realtime.conf "$examples"
     chmod -R go+rX "$new"
     rm -rf "$root$prefix"
     mv -T "$new" "$root$prefix"

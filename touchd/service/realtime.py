@@ -1,6 +1,6 @@
 """What makes latency steady and systemd's unit cannot set: garbage, the bus's thread, open files, sleeping processors.
 
-Processors, scheduling and niceness are the unit's: deploy/realtime.conf. docs/integrator.md has what each brings.
+Processors, scheduling and niceness are the unit's: deploy/realtime.conf. docs/integrator.md has when to use it.
 """
 
 from __future__ import annotations

@@ -70,6 +70,9 @@ def test_life(tmp_path: Path, wheels: Path) -> None:
         unit = (tmp_path / "etc/systemd/system" / name).read_text()
         assert unit == (ROOT / "deploy" / name).read_text().replace("/usr/bin/touchd", "/opt/touchd/bin/touchd")
     assert os.readlink(tmp_path / "usr/local/bin/touchd") == "/opt/touchd/bin/touchd"
+    examples = tmp_path / "opt/touchd/share/doc/touchd/examples"
+    assert 'ExecStart=/opt/touchd/bin/touchd --audio ""' in (examples / "audio.conf").read_text()
+    assert (examples / "realtime.conf").read_text() == (ROOT / "deploy/realtime.conf").read_text()
     # The environment names the place where it will be, not the one where it was made.
     script = (tmp_path / "opt/touchd/bin/touchd").read_text()
     assert script.startswith("#!/opt/touchd/bin/python")
