@@ -32,7 +32,7 @@ def command(plate_file: Path, acquisition: Acquisition, noise_db: float, output:
     """Compute a fingertip's expected error over the plate of PLATE.toml, and move the discs to make it smaller.
 
     It is the bound that noise sets, from physics at the values of PLATE.toml; errors of the fitted physics come on top.
-    The suggested layout has no disc on an axis of the plate, nor two at mirrored places.
+    A disc that moves keeps off the plate's axes, and off the mirror images of others; one that stays may lie there.
     """
     from touchd.calibration.plan import PlateMap
     from touchd.calibration.plate_file import read_plate_file

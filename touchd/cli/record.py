@@ -74,8 +74,8 @@ def command(
 
     While a daemon with a control socket runs, as the service, its frames are recorded: run this as its own user, or
     as root.
-    A recording can reveal a PIN: it is readable by you only. Ctrl-C and SIGTERM save the frames so far. It stores
-    frames alone, without true contacts.
+    A recording can reveal a PIN: it is readable by you only. Ctrl-C and SIGTERM save the frames so far.
+    Without --label it stores no true contacts.
 
     With --label it asks for ten minutes of touches at places that it names: what a report of a real plate needs, and
     what `touchd calibrate`, `calibrate --taps` and `check` take.

@@ -77,20 +77,23 @@ class GateSettings(Section):
 class SkipSettings(Section):
     """Work to skip; false measures what that saves."""
 
-    gate: bool = Field(True, description="Features and network while the gate is closed.")
-    still: bool = Field(True, description="The same of a frame that differs from the last one examined by noise alone.")
+    gate: bool = Field(True, description="Skip features and network while the gate is closed.")
+    still: bool = Field(True, description="Skip them if a frame differs from the last one examined by noise alone.")
     still_false_alarm_rate: float = Field(
         0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone undoes that."
     )
-    unheard: bool = Field(True, description="Messages without a subscriber.")
-    screen: bool = Field(True, description="Touches while the screen is off (`touchd screen off`).")
+    unheard: bool = Field(True, description="Skip messages without a subscriber.")
+    screen: bool = Field(True, description="Skip touches while the screen is off (`touchd screen off`).")
 
 
 class TrackerSettings(Section):
     """From positions to contacts."""
 
     confirm_frames: int = Field(
-        2, ge=1, le=100, description="Frames in a row before a contact is `down`; up to 2, one of a sure lone finger."
+        2,
+        ge=1,
+        le=100,
+        description="Frames in a row before a contact is `down`; with 1 or 2, a sure lone finger needs one.",
     )
     reach_mm: float = Field(25.0, ge=0.1, le=1000, description="Farthest that a contact moves between frames, mm.")
     dead_band_mm: float = Field(

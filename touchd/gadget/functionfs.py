@@ -31,6 +31,7 @@ _DISABLE, _SETUP = 3, 4
 _BULK, _ENGLISH = 2, 0x0409
 _IDLE_S = 0.02
 _NAME = "touchd"  # of the gadget and of its function
+_NEEDED = "run it as root, on a kernel with USB gadgets (CONFIG_USB_CONFIGFS_F_FS): modprobe libcomposite"
 # No host is connected, or a transfer is cut off: try again.
 _AWAY = (errno.ESHUTDOWN, errno.ECONNRESET, errno.EAGAIN, errno.EINTR, errno.ENODEV, errno.EIO, errno.EBADFD)
 
@@ -183,7 +184,7 @@ class ConfigFs:
             raise GadgetError(
                 f"the USB device cannot be made ({error.strerror})",
                 str(error.filename or self._gadget),
-                "run it as root, on a kernel with CONFIG_USB_CONFIGFS_F_FS and /sys/kernel/config mounted",
+                _NEEDED,
             ) from error
         _run("mount", "-t", "functionfs", _NAME, str(self.folder))
 
@@ -233,4 +234,5 @@ def first_udc(ports: Path = Path("/sys/class/udc")) -> str:
 def _run(*command: str) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - arguments of our own
     if done.returncode:
-        raise GadgetError(f"{command[0]} failed: {done.stderr.strip()}", command[-1], "run it as root")
+        why = done.stderr.strip().partition("\n")[0]
+        raise GadgetError(f"{command[0]} failed: {why}", command[-1], _NEEDED)

@@ -97,7 +97,8 @@ def rollback(target: Path) -> Model:
     """
     previous = previous_path(target)
     if not previous.exists():
-        raise ModelMissing("there is no previous model", str(previous), "install a model first: touchd model install")
+        why = "no other model was installed before" if target.exists() else "no model is installed"
+        raise ModelMissing(f"nothing to go back to: {why}", str(target), "install one: touchd model install FILE")
     return install(previous, target)
 
 

@@ -6,6 +6,7 @@ All of it is off by default. Sizes and sources stand in `mounting`, `instrument`
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.twin.electronics import Electronics
+from touchd.twin.electronics import Dead, Electronics, Impulses, Tone
 from touchd.twin.instrument import Instrument
-from touchd.twin.physics.mounting import FREE, Mounting
+from touchd.twin.physics.mounting import FREE, Attachment, Mounting, Support
 
 
 class Rig(BaseModel):
@@ -34,6 +35,12 @@ class Rig(BaseModel):
 
 
 IDEAL = Rig()
+_KEYS: dict[str, Iterable[str]] = {
+    "": Rig.model_fields, "mounting": Mounting.model_fields, "mounting.attachments": Attachment.model_fields,
+    "mounting.attachments.support": Support._fields, "electronics": Electronics._fields,
+    "electronics.impulses": Impulses._fields, "electronics.tones": Tone._fields, "electronics.dead": Dead._fields,
+}  # fmt: skip
+"""Keys of each table, by its name."""
 
 
 def load_rig(path: Path) -> Rig:
@@ -46,10 +53,14 @@ def load_rig(path: Path) -> Rig:
     except OSError as error:
         raise SimulationError(f"cannot be read ({error.strerror})", str(path), "check the name") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise SimulationError(
-            f"{key}: {first['msg']}", str(path), f"use the tables {', '.join(Rig.model_fields)}"
-        ) from error
+        # A key misspelt is missing, too.
+        first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+        *table, _ = first["loc"]
+        what, fix = first["msg"], "correct it"
+        if first["type"] == "extra_forbidden":
+            keys = _KEYS[".".join(part for part in table if isinstance(part, str))]
+            what, fix = "unknown key", f"use {', '.join(keys)}"
+        key = ".".join(map(str, first["loc"]))
+        raise SimulationError(f"{key}: {what}", str(path), fix) from error
     except (ValueError, RecursionError) as error:
         raise SimulationError(f"not TOML ({error})", str(path), "correct the file at the place named") from error

@@ -287,6 +287,17 @@ def test_configfs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not (tmp_path / "ffs-touchd").exists()
 
 
+def test_no_configfs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel without ConfigFS is named as what is missing, in one line."""
+
+    def run(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
+        return subprocess.CompletedProcess(command, 32, "", "mount: mount point does not exist.\n  dmesg(1) has more")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    with pytest.raises(GadgetError, match=r"does not exist\. -> run it as root, .*modprobe libcomposite$"):
+        ConfigFs("SN7", 0x1209, 0x0001, root=tmp_path / "none/usb_gadget").create()
+
+
 def test_first_port(tmp_path: Path) -> None:
     """The first port is used; a computer without one is a GadgetError."""
     with pytest.raises(GadgetError, match="no port that can be a USB device"):

@@ -44,6 +44,15 @@ def test_file_on_either_side(verb: str, order: str, tmp_path: Path, capsys: pyte
     assert f"{missing}: no such file" in capsys.readouterr().err
 
 
+def test_retired(tmp_path: Path) -> None:
+    """A key of an earlier version is named beside what is printed."""
+    path = tmp_path / "touchd.toml"
+    path.write_text("[realtime]\nnice = -10\n")
+    result = CliRunner().invoke(command, ["--config", str(path)])
+    assert (result.exit_code, result.stdout) == (0, render(Settings()))
+    assert f"{path}: realtime.nice: a setting that is gone is ignored; instead: Nice=" in result.stderr
+
+
 def test_file_before_verb(file: Path) -> None:
     """The file named before the verb counts, too."""
     assert "\nrate_hz = 60\n" in CliRunner().invoke(command, [], obj={"config": file}).output

@@ -61,8 +61,10 @@ def test_names(tmp_path: Path, source: str, to: str) -> None:
 
 def test_nothing_to_go_back_to(target: Path) -> None:
     """Without a previous model the one in use stays."""
+    with pytest.raises(ModelMissing, match="no model is installed"):
+        rollback(target)
     install(SMALL, target)
-    with pytest.raises(ModelMissing, match="no previous model"):
+    with pytest.raises(ModelMissing, match="no other model was installed before"):
         rollback(target)
     assert Model(target).description.name == "small"
 

@@ -56,9 +56,11 @@ def test_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("[electronics]\njiter_s = 1e-9", "electronics.jiter_s"),
+        ("[electronics]\njiter_s = 1e-9", "electronics.jiter_s: unknown key -> use noise_db, .*jitter_s"),
+        ("[electronics]\ntones = [{ hz = 1 }]", "electronics.tones.0.hz: unknown key -> use frequency_hz"),
+        ("[[mounting.attachments]]\nsupport = { loos = 1 }", "loos: unknown key -> use stiffness_n_m3"),
         ("[mounting]\nleft = 'glue'", "mounting.left"),
-        ("[plate]\nloss = 1", "plate"),
+        ("[plate]\nloss = 1", "plate: unknown key -> use mounting, tilts, electronics"),
         ("tilts = ", "not TOML"),
     ],
 )
