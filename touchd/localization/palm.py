@@ -121,7 +121,7 @@ class Palm:
         huge = len(moments_mm2) >= CONTACTS and (max(moments_mm2) > MOMENT_MM2 or max(sizes) > HUGE_SIZE)
         large = sum(size for size, moment_mm2 in zip(sizes, moments_mm2, strict=False) if moment_mm2 > LARGE_MM2)
         unlike = excess > UNLIKE and large > (LARGE_SIZE if len(sizes) == 1 else LARGE_TOGETHER)
-        if sizes:
+        if any(sizes):
             self._remember(fit, sizes, t_ns)
         if huge or unlike or (excess > POOR and sum(sizes) > POOR_SIZE):
             self._since_ns = t_ns if self._since_ns is None or not self._alike else min(t_ns, self._since_ns)
