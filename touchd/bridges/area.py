@@ -20,7 +20,6 @@ CROSSES = ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9), (0.5, 0.5), (0.5, 0.1
 LEAST_TOUCHES = 4
 WORST_RMS_MM, WORST_MM = 3.0, 6.0
 """People miss a cross by 1 to 3 mm."""
-_LEAST_MM = 10.0
 
 
 class Place(Struct, gc=False):
@@ -211,11 +210,13 @@ def keys_of(mapping: Mapping) -> dict[str, str]:
 
 
 def _fit_rotated(touches: Sequence[Touched], rotate: int) -> Mapping | None:
-    """Return the best rectangle for a rotation, or None if its width or height is not that of a screen."""
+    """Return the best rectangle for a rotation, or None if `[input]` would refuse it, as not that of a screen."""
+    from touchd.config.schema import InputSettings
+
     shares = [_on_plate(touch.across, touch.along, rotate) for touch in touches]
     left = _line([p for p, _ in shares], [touch.x_mm for touch in touches])
     top = _line([q for _, q in shares], [touch.y_mm for touch in touches])
-    if left is None or top is None or min(left[1], top[1]) < _LEAST_MM:
+    if left is None or top is None:
         return None
     missed = tuple(
         math.hypot(left[0] + left[1] * p - touch.x_mm, top[0] + top[1] * q - touch.y_mm)
@@ -223,6 +224,10 @@ def _fit_rotated(touches: Sequence[Touched], rotate: int) -> Mapping | None:
     )
     rms = math.sqrt(sum(one * one for one in missed) / len(missed))
     rectangle = (round(left[0], 2), round(top[0], 2), round(left[1], 2), round(top[1], 2))
+    try:
+        InputSettings(screen_mm=rectangle, rotate=rotate, residual_mm=rms)
+    except ValueError:
+        return None
     return Mapping(rectangle, rotate, round(rms, 3), missed)
 
 

@@ -119,7 +119,7 @@ def _read(path: Path) -> list[Touched]:
     try:
         with path.open("rb") as file:
             found = [Touched(*map(float, one)) for one in json.loads(file.read(_MOST_BYTES))]
-    except (OSError, ValueError, TypeError, RecursionError):
+    except (OSError, ValueError, TypeError, OverflowError, RecursionError):
         found = []
     if not found or not all(math.isfinite(value) for one in found for value in one):
         raise BridgeError("holds no touches", str(path), "touch the crosses in the page of touchd web again")

@@ -123,6 +123,28 @@ def test_what_is_not_written(tmp_path: Path) -> None:
         assert config.read_text() == text
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        json.dumps([[u, v, 1e6 * u - 5e6, 200 * v] for u, v in CROSSES[:4]]),
+        json.dumps([[u, v, 1e200 * u, 200 * v] for u, v in CROSSES[:4]]),
+        json.dumps([[u, v, 1e308 * u, 1e308 * v] for u, v in CROSSES[:4]]),
+        json.dumps([[u, v, 200 * u - 10_100, 100 * v] for u, v in CROSSES[:4]]),
+        f"[[0.1, 0.1, {'9' * 400}, 20]]",
+    ],
+)
+def test_no_mapping_is_written_that_a_daemon_refuses(
+    tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whoever wrote the touches: a screen beyond the limits of `[input]` is refused, and nothing is written."""
+    config, given = tmp_path / "touchd.toml", tmp_path / "touched.json"
+    given.write_text(text)
+    config.write_text("# mine\n")
+    assert main(["--config", str(config), "map", "--from", str(given)]) == BridgeError.exit_code
+    assert config.read_text() == "# mine\n"
+    assert "touch" in capsys.readouterr().err
+
+
 def test_the_page_has_the_crosses() -> None:
     """The page shows each cross where the fit takes it to be."""
     page = page_of(CROSSES[:4])
