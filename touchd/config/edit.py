@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
 from touchd.errors import OutputError
-from touchd.files import replacing
+from touchd.files import read_text, replacing
 
 
 def set_keys(path: Path, table: str, keys: Mapping[str, str]) -> None:
-    """Set keys of `[table]` in a file, which is made if it is not there; see `with_keys` for errors."""
+    """Set keys of `[table]` in a file, or in the target of a link; it is made if it is not there.
+
+    Raises what `with_keys` and `read_text` raise.
+    """
+    path = Path(os.path.realpath(path))
     there = path.exists()
-    text = with_keys(path.read_text() if there else "", table, keys, str(path))
+    text = with_keys(read_text(path) if there else "", table, keys, str(path))
     with replacing(path, mode=path.stat().st_mode & 0o777 if there else 0o644) as file:
         file.write(text.encode())
 
@@ -25,7 +30,7 @@ def with_keys(text: str, table: str, keys: Mapping[str, str], where: str = "") -
     Raises OutputError if it has a key in a form that this does not understand, such as a list over several lines.
     """
     parts = re.split(r"(?m)^(?=\[)", text)
-    at = next((n for n, part in enumerate(parts) if part.startswith(f"[{table}]")), None)
+    at = next((n for n, part in enumerate(parts) if re.match(rf"\[[ \t]*{table}[ \t]*\]", part)), None)
     if at is None:
         at = len(parts) + 1
         parts += ["\n" if text else "", f"[{table}]\n"]

@@ -252,7 +252,7 @@ def keep(
     Raises BridgeError if no mapping explains the touches; OutputError if nobody writes it.
     """
     mapping = fit(touched)
-    if os.access(config.parent, os.W_OK) if writable is None else writable:
+    if os.access(os.path.dirname(os.path.realpath(config)), os.W_OK) if writable is None else writable:
         set_keys(config, "input", keys_of(mapping))
     else:
         with replacing(handed) as file:
