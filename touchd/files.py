@@ -14,6 +14,7 @@ from typing import IO
 from touchd.errors import OutputError
 
 CHECK = "check folder, space and permissions"
+_PREFIX_BYTES = 100
 MOST_TEXT_BYTES = 1 << 20
 """No file of settings, keys or measures is as long."""
 
@@ -62,22 +63,27 @@ def writing(path: Path, fix: str = CHECK) -> Iterator[None]:
 
 
 @contextmanager
-def replacing(path: Path, *, mode: int = 0o644, fix: str = CHECK) -> Iterator[IO[bytes]]:
+def replacing(path: Path, *, mode: int = 0o644, fix: str = CHECK, fresh: bool = False) -> Iterator[IO[bytes]]:
     """Yield a file that takes the place of `path` once it is written and on disk; a power cut leaves all or nothing.
 
     Until the file is in place, only its owner may read it. Raises OutputError, with this `fix`, if it cannot be
-    written; nothing is left behind.
+    written; nothing is left behind. If `fresh`, a file that is there by then stays: the OutputError's cause is a
+    FileExistsError.
     """
     temporary = ""
+    # Its name is no longer than the file system allows, and no character of it is cut.
+    prefix = os.fsencode(path.name)[:_PREFIX_BYTES].decode(errors="ignore")
     try:
         with writing(path, fix):
             # The dot keeps readers of a folder from taking it for one of its files.
-            handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+            handle, temporary = tempfile.mkstemp(prefix=f".{prefix}.", suffix=".tmp", dir=path.parent)
             with os.fdopen(handle, "wb") as file:
                 yield file
                 file.flush()
                 os.fsync(file.fileno())
             os.chmod(temporary, mode)
+            if fresh:  # not by a hard link, which a USB stick's file system lacks
+                os.close(os.open(path, os.O_CREAT | os.O_EXCL, mode))
             os.replace(temporary, path)
             temporary = ""
     finally:

@@ -21,8 +21,10 @@ VERSION = 1
 _CHUNK_NAME = re.compile(r"(?!\.)(?:.*[^0-9])?([0-9]+)\.npz", re.DOTALL)
 
 
-def write(path: Path, recording: Recording, *, compress: bool = True) -> None:
-    """Write one file, readable by its owner alone, and replace an existing one. A power cut leaves all or nothing.
+def write(path: Path, recording: Recording, *, compress: bool = True, fresh: bool = False) -> None:
+    """Write one file, readable by its owner alone. A power cut leaves all or nothing.
+
+    An existing file is replaced, or kept if `fresh`, see `replacing`.
 
     Raises RecordingShape or RecordingValues if the recording breaks the format (nothing is written); OutputError if the
     file cannot be written (nothing is left behind).
@@ -31,7 +33,7 @@ def write(path: Path, recording: Recording, *, compress: bool = True) -> None:
     arrays: dict[str, Any] = {name: getattr(recording, name) for name in ARRAYS}
     arrays = {name: array for name, array in arrays.items() if array is not None}
     save = np.savez_compressed if compress else np.savez
-    with replacing(path, mode=0o600) as file:
+    with replacing(path, mode=0o600, fresh=fresh) as file:
         save(file, format=FORMAT, version=VERSION, meta=recording.meta.model_dump_json(), **arrays)
 
 

@@ -6,6 +6,7 @@ import os
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -60,8 +61,11 @@ class Recorder:
     ) -> None:
         self.meta = meta
         self.path = path
+        """Where the frames are; of a single file another name, once `close` has found this one taken."""
         self.frames = 0
         """Frames recorded."""
+        self.saved = 0
+        """Frames on disk."""
         self.lost = 0
         """Frames that the source's counter skipped."""
         self.dropped = 0
@@ -73,7 +77,8 @@ class Recorder:
         self._chunks = 0
         self._last: Frame | None = None
         self._epoch_ns = 0
-        self._writing: Future[None] | None = None
+        self._writing: Future[Path] | None = None
+        self._queued = 0  # frames that it writes
         prepare(path, self._single)
         self._writer = ThreadPoolExecutor(1, "touchd-recorder")
 
@@ -117,33 +122,61 @@ class Recorder:
         """Queue the frames in memory for the writing thread."""
         frames, self._kept = self._kept, []
         if frames:
-            path = self.path if self._single else self.path / f"{self._chunks:06d}.npz"
+            self._writing = self._writer.submit(self._write, self._chunks, frames)
+            self._queued = len(frames)
             self._chunks += 1
-            self._writing = self._writer.submit(write_frames, path, self.meta, frames, self._epoch_ns)
+
+    def _write(self, number: int, frames: list[Frame]) -> Path:
+        if self._single:
+            return write_beside(self.path, _recording_of(self.meta, frames, self._epoch_ns))
+        write_frames(self.path / f"{number:06d}.npz", self.meta, frames, self._epoch_ns)
+        return self.path
 
     def _finish_writing(self) -> None:
         writing, self._writing = self._writing, None
         if writing is not None:
-            writing.result()
+            self.path = writing.result()
+            self.saved += self._queued
 
     def _remove_if_empty(self) -> None:
-        if self.frames == 0 and not self._single:
+        if self.saved == 0 and not self._single:
             with suppress(OSError):
                 self.path.rmdir()
 
 
 def write_frames(path: Path, meta: Meta, frames: list[Frame], epoch_ns: int, *, compress: bool = True) -> None:
     """Write frames as one file whose time counts from `epoch_ns`."""
+    recording.write(path, _recording_of(meta, frames, epoch_ns), compress=compress)
+
+
+def _recording_of(meta: Meta, frames: list[Frame], epoch_ns: int) -> Recording:
     counts = np.stack([frame.counts for frame in frames])
     sequence = np.array([frame.sequence for frame in frames], np.int64)
     timestamp_ns = np.array([frame.t_ns for frame in frames], np.int64) - epoch_ns
-    recording.write(path, Recording(meta, counts, sequence, timestamp_ns), compress=compress)
+    return Recording(meta, counts, sequence, timestamp_ns)
+
+
+def write_beside(path: Path, made: Recording) -> Path:
+    """Write a file and return its path: `NAME-2.npz` or a higher number if another program has made `NAME.npz`.
+
+    Raises what `recording.write` raises.
+    """
+    for number in count(1):
+        free = path if number == 1 else path.with_stem(f"{path.stem}-{number}")
+        try:
+            recording.write(free, made, fresh=True)
+            break
+        except OutputError as error:
+            if not isinstance(error.__cause__, FileExistsError):
+                raise
+    return free
 
 
 def prepare(path: Path, single: bool) -> None:
     """Check the path now, not after an hour of recording; make the folder of chunks. Raises OutputError."""
     with writing(path):
-        if os.path.lexists(path):
+        with suppress(FileNotFoundError):  # a name that is too long raises another OSError
+            os.lstat(path)
             raise OutputError("exists already", str(path), "choose another name, or delete it first")
         if not path.parent.is_dir():
             raise OutputError("no such folder", str(path.parent), "create it first")

@@ -102,7 +102,9 @@ def test_a_disk_that_fills_up_is_reported_while_recording(tmp_path: Path, monkey
     with pytest.raises(OutputError, match=r"000001\.npz.*No space"):
         keep(recorder, range(9))
     recorder.close()
-    assert read(tmp_path / "folder").sequence.tolist()[:2] == [0, 1]
+    on_disk = read(tmp_path / "folder").sequence.tolist()
+    assert on_disk[:2] == [0, 1]
+    assert recorder.saved == len(on_disk) < recorder.frames
 
 
 def test_a_failure_to_save_the_rest_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,9 +116,32 @@ def test_a_failure_to_save_the_rest_is_said(tmp_path: Path, monkeypatch: pytest.
     keep(recorder, [1])
     with pytest.raises(OutputError):
         recorder.close()
+    assert (recorder.frames, recorder.saved) == (1, 0)
 
 
-@pytest.mark.parametrize("name", ["there.npz", "there", "missing/a.npz", "missing/folder", "nul\0", "x" * 300])
+def test_a_name_that_was_taken_meanwhile_costs_no_frame(tmp_path: Path) -> None:
+    """Of two recordings to one name the later one is saved beside the earlier one."""
+    recorders = [Recorder(tmp_path / "a.npz", META) for _ in range(3)]
+    for number, recorder in enumerate(recorders):
+        keep(recorder, [number])
+        recorder.close()
+        recorder.close()
+    assert [recorder.path.name for recorder in recorders] == ["a.npz", "a-2.npz", "a-3.npz"]
+    assert [read(recorder.path).sequence.tolist() for recorder in recorders] == [[0], [1], [2]]
+    assert len(os.listdir(tmp_path)) == 3
+
+
+@pytest.mark.parametrize("name", ["x" * 251 + ".npz", "ü" * 125 + ".npz", "x" + "€" * 83 + ".npz"])
+def test_a_name_may_be_as_long_as_the_file_system_allows(tmp_path: Path, name: str) -> None:
+    recorder = Recorder(tmp_path / name, META)
+    keep(recorder, [1])
+    recorder.close()
+    assert os.listdir(tmp_path) == [name]
+
+
+@pytest.mark.parametrize(
+    "name", ["there.npz", "there", "missing/a.npz", "missing/folder", "nul\0", "x" * 300, "x" * 252 + ".npz"]
+)
 def test_an_impossible_output_is_refused_before_recording(tmp_path: Path, name: str) -> None:
     (tmp_path / "there.npz").write_bytes(b"")
     (tmp_path / "there").mkdir()
