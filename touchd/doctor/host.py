@@ -34,6 +34,7 @@ _BULK_IN = (0x80, 0x02)
 _HIGH_SPEED_MBIT_S = 480.0
 _SILENCE_S = 5.0
 """Longest wait for a device's next frame."""
+_CABLE = "check cable and power, and stop the daemon if it runs"
 _REFERENCE_FRAMES = 256
 _TAPS, _UNTOUCHED, _TOUCHED = 10, 10, 50
 """Taps to time, and their frames."""
@@ -136,7 +137,10 @@ def check_descriptors(descriptors: bytes, speed_mbit_s: str) -> Finding:
 
 
 def take(source: Source, seconds: float) -> Sample:
-    """Read frames until their times span `seconds`; SourceError if fewer than two frames arrived."""
+    """Read frames until their times span `seconds`, or until a recording or a scene ends.
+
+    Raises SourceError if fewer than two frames arrived, or if the source fell silent or failed.
+    """
     counts: list[Counts] = []
     sequence: list[int] = []
     t_ns: list[int] = []
@@ -156,9 +160,9 @@ def take(source: Source, seconds: float) -> Sample:
             if frame.t_ns - t_ns[0] >= seconds * 1e9:
                 break
         elif time.monotonic() > deadline_s:
-            break
+            raise SourceError(f"{reason}, for {_SILENCE_S:g} s", "source", _CABLE)
     if len(t_ns) < 2:
-        raise SourceError(reason, "source", "check cable and power, and stop the daemon if it runs")
+        raise SourceError(reason, "source", _CABLE)
     corrupt = source.tally.corrupt if isinstance(source, LiveSource) else 0
     return Sample(np.array(counts), np.array(sequence, np.int64), np.array(t_ns, np.int64), corrupt)
 

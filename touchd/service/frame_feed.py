@@ -17,12 +17,12 @@ import structlog
 from pydantic import ValidationError
 
 from touchd.config.schema import DeviceSettings, Settings
-from touchd.errors import BusError
+from touchd.errors import BusError, SourceError
 from touchd.frame import Acquisition, Description, Frame, Plate
 from touchd.recording.data import Device, Meta
 from touchd.service.control import SERVICE_PATH, path_of
 from touchd.sources.open import SourceChoice
-from touchd.sources.source import EndOfStream, Source
+from touchd.sources.source import Source
 
 COMMAND = b"frames"
 MOST_LISTENERS = 4
@@ -124,16 +124,19 @@ class DaemonSource:
         self._bytes = _HEAD.size + 2 * self.acquisition.channels * self.acquisition.samples
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Return the next frame; None if none comes in time; EndOfStream once the daemon has ended."""
+        """Return the next frame; None if none comes in time; SourceError once the daemon hands out no more."""
         self._feed.settimeout(timeout_s)
         try:
             message = self._feed.recv(self._bytes)
         except TimeoutError:
             return None
-        except OSError as error:
-            raise EndOfStream from error
+        except OSError:
+            message = b""
         if len(message) != self._bytes:
-            raise EndOfStream
+            raise SourceError(
+                "the daemon has ended, or its plate is a keypad now: no more frames come", "",
+                "see the daemon's log, start it, and repeat the command",
+            )  # fmt: skip
         counts = np.frombuffer(message, np.int16, offset=_HEAD.size).reshape(self.acquisition.shape)
         return Frame(counts, *_HEAD.unpack_from(message))
 

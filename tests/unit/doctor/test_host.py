@@ -28,11 +28,14 @@ class Few:
 
     acquisition = Acquisition(channels=1, samples=2, sample_rate_hz=1.0)
 
-    def __init__(self, frames: int) -> None:
+    def __init__(self, frames: int, *, silent: bool = False) -> None:
         self._frames = frames
+        self._silent = silent
 
     def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the protocol's
         if not self._frames:
+            if self._silent:
+                return None
             raise EndOfStream
         self._frames -= 1
         return Frame(np.zeros((1, 2), np.int16), self._frames, -self._frames, 0)
@@ -46,6 +49,13 @@ def test_too_few_frames() -> None:
     assert len(take(Few(2), 1.0).counts) == 2
     with pytest.raises(SourceError):
         take(Few(1), 1.0)
+
+
+def test_a_source_that_falls_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that stops before the time asked for is an error: no plate is calibrated by what came until then."""
+    monkeypatch.setattr("touchd.doctor.host._SILENCE_S", 0.0)
+    with pytest.raises(SourceError, match="no frame came, for"):
+        take(Few(2, silent=True), 1.0)
 
 
 @pytest.mark.parametrize("name", ["atlas_model", "model"])

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchd.errors import BusError
+from touchd.errors import BusError, SourceError
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.service import control as module
 from touchd.service.control import Control, send
 from touchd.service.frame_feed import COMMAND, MOST_LISTENERS, DaemonSource, FeedDescription, FrameFeed, open_daemon
-from touchd.sources.source import EndOfStream
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=300, height_mm=200)
@@ -50,7 +49,7 @@ def ask(control: Control) -> tuple[socket.socket, list[str]]:
 
 
 def test_frames_arrive(control: Control, feed: FrameFeed) -> None:
-    """Bit for bit, with their numbers and times, after what they are; the stream ends with the daemon."""
+    """Bit for bit, with their numbers and times, after what they are; who reads is told of the daemon's end."""
     mine, said = ask(control)
     assert said == ["frames"]
     feed.add(control.listeners.pop())
@@ -66,7 +65,7 @@ def test_frames_arrive(control: Control, feed: FrameFeed) -> None:
         assert (got.sequence, got.t_ns, got.received_ns) == (each.sequence, each.t_ns, each.received_ns)
         assert (got.counts == each.counts).all()
     feed.close()
-    with pytest.raises(EndOfStream):
+    with pytest.raises(SourceError, match="the daemon has ended"):
         source.read(1.0)
     source.close()
 
@@ -84,7 +83,7 @@ def test_keypad(control: Control) -> None:
     assert source.read(0.01) is None
     said[0] = d.model_copy(update={"keypad": True})
     feed.configured()
-    with pytest.raises(EndOfStream):
+    with pytest.raises(SourceError, match="its plate is a keypad now"):
         source.read(1.0)
     mine, _ = ask(control)
     feed.add(control.listeners.pop())

@@ -26,7 +26,7 @@ from touchd.client import Subscriber
 from touchd.config.edit import set_keys
 from touchd.config.load import load
 from touchd.config.schema import InputSettings, Settings
-from touchd.errors import BusError, BusTimeout, CalibrationError, OutputError
+from touchd.errors import BusError, BusTimeout, CalibrationError, OutputError, SourceError
 from touchd.evaluation.dataset import complex_bins
 from touchd.event import PlateEvent
 from touchd.files import replacing
@@ -94,12 +94,16 @@ def refuse_keypad(keypad: bool) -> None:
 
 def frames_until(stop: threading.Event, source: DaemonSource, after: str) -> Iterator[Frame]:
     """Yield a daemon's frames; Stopped if `stop` was set, BusError if the daemon has ended: what comes `after` that."""
-    for frame in frames_of(source):
+    frames = frames_of(source)
+    while True:
+        try:
+            frame = next(frames)
+        except SourceError as error:
+            raise BusError("the daemon has ended", "", after) from error
         if stop.is_set():
             raise Stopped
         if frame is not None:
             yield frame
-    raise BusError("the daemon has ended", "", after)
 
 
 def meta_of(source: DaemonSource, said: PlateFile) -> Meta:
