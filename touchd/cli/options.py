@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,21 @@ if TYPE_CHECKING:
     from touchd.sources.open import SourceChoice
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Number(click.types.FloatParamType):
+    """A number; neither nan, which no range of click's refuses, nor inf."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Convert an option's text."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return number
+
+
+class NumberRange(Number, click.FloatRange):
+    """A number within bounds."""
 
 
 def _or_above(ctx: click.Context, _param: click.Parameter, value: Path | None) -> Path | None:

@@ -15,17 +15,17 @@ from typing import Any
 import click
 
 from touchd.calibration.walk import Walk, plan
-from touchd.cli.options import chosen, config_option, source_options
+from touchd.cli.options import NumberRange, chosen, config_option, source_options
+from touchd.cli.output import say
 from touchd.config.load import load
-from touchd.errors import ConfigError, SourceError
+from touchd.errors import ConfigError, OutputError, SourceError
 from touchd.frame import Frame, Plate, parse_plate
 from touchd.recording.data import Device, Meta
-from touchd.recording.format import write
 from touchd.service.frame_feed import DaemonSource, open_running, rate_of
 from touchd.service.runner import frames_of
 from touchd.service.signals import stopping
 from touchd.sources.open import open_source
-from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder, describe, prepare
+from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder, describe, prepare, write_beside
 from touchd.sources.source import Change, Source
 
 _TIMEOUT_S = 0.2
@@ -47,17 +47,24 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
         raise click.BadParameter("write WIDTHxHEIGHT or WIDTHxHEIGHTxTHICKNESS in mm, for example 400x300x5") from None
 
 
+def _notes(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
+    """Refuse text that no file can hold."""
+    if any("\ud800" <= character <= "\udfff" for character in value):
+        raise click.BadParameter("is not UTF-8")
+    return value
+
+
 @click.command()
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True,
               help="Output: one file if it ends in .npz, else a folder of chunks.")  # fmt: skip
 @source_options
 @click.option("--frames", type=click.IntRange(1), metavar="N", help="Stop after N frames.")
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), metavar="S", help="Stop after S seconds.")
+@click.option("--seconds", type=NumberRange(0, min_open=True), metavar="S", help="Stop after S seconds.")
 @click.option("--chunk-frames", type=click.IntRange(1, 1_000_000), default=5000, show_default=True, metavar="N",
               help="Frames per chunk of a folder; a power cut loses at most one chunk.")  # fmt: skip
 @click.option("--plate", callback=_plate, metavar="WxH[xT]", help="Size of the plate in mm, if the source has none.")
 @click.option("--label", is_flag=True, help="Ask for touches, one after the other, and label them; -o ends in .npz.")
-@click.option("--notes", default="", help="Text to store in the recording.")
+@click.option("--notes", default="", callback=_notes, help="Text to store in the recording.")
 @config_option
 def command(
     output: Path,
@@ -74,7 +81,7 @@ def command(
 
     While a daemon with a control socket runs, as the service, its frames are recorded: run this as its own user, or
     as root.
-    A recording can reveal a PIN: it is readable by you only. Ctrl-C and SIGTERM save the frames so far.
+    A recording can reveal a PIN: it is readable by you only. Ctrl-C, SIGTERM and SIGHUP save the frames so far.
     Without --label it stores no true contacts.
 
     With --label it asks for ten minutes of touches at places that it names: what a report of a real plate needs, and
@@ -91,44 +98,59 @@ def command(
     settings = load(config)
     source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
+        # To the end: a terminal that goes sends SIGHUP more than once.
+        stop = stack.enter_context(stopping(hangup=True))
         stack.callback(source.close)
         meta = _meta(source, plate, rate_of(source, settings.device), choice.kind, notes)
         if label:
             walk_through(source, output, meta)
             return
         recorder = Recorder(output, meta, chunk_frames=chunk_frames)
-        click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
+        say(f"recording to {output}: it can reveal a PIN, and only you can read it")
         try:
             with closing(source):  # the device is free while the file is written
-                _record(source, recorder, frames, seconds)
+                _record(source, recorder, frames, seconds, stop)
         finally:  # save the frames that arrived before a failure, too
-            recorder.close()
-            if recorder.frames:
-                dropped = f", {recorder.dropped} out of order and not kept" if recorder.dropped else ""
-                click.echo(f"{output}: {recorder.frames} frames saved, {recorder.lost} lost on their way here{dropped}")
+            try:
+                recorder.close()
+            finally:
+                _report(recorder)
     if not recorder.frames:
         raise SourceError("no frame came, nothing is saved", fix="check that the source runs")
+    _refuse_other(output, recorder.path)
 
 
-def _record(source: Source, recorder: Recorder, frames: int | None, seconds: float | None) -> None:
+def _report(recorder: Recorder) -> None:
+    if recorder.frames:
+        of = f" of {recorder.frames}" if recorder.saved < recorder.frames else ""
+        dropped = f", {recorder.dropped} out of order and not kept" if recorder.dropped else ""
+        say(f"{recorder.path}: {recorder.saved}{of} frames saved, {recorder.lost} lost on their way here{dropped}")
+
+
+def _refuse_other(output: Path, saved: Path) -> None:
+    """Raise OutputError if the frames are saved under another name than the one asked for."""
+    if saved != output:
+        raise OutputError("exists already, made while this recorded", str(output), f"the frames are in {saved}")
+
+
+def _record(source: Source, recorder: Recorder, frames: int | None, seconds: float | None, stop: Event) -> None:
     """Record frames until the end, a limit or a signal."""
     first_ns = None
     # At 125 frames/s the last frame of a second begins 8 ms before its end; another half period allows for jitter.
     last_s = (seconds or 0) - 1.5 / recorder.meta.frame_rate_hz
     started_s = time.monotonic()
-    with stopping() as stop:
-        for frame in until(stop, source):
-            if frame is None:
-                # A silent source must not extend a recording of ten seconds.
-                if seconds is not None and time.monotonic() - started_s >= seconds:
-                    break
-                continue
-            recorder.keep(frame)
-            first_ns = frame.t_ns if first_ns is None else first_ns
-            if recorder.frames == frames:
+    for frame in until(stop, source):
+        if frame is None:
+            # A silent source must not extend a recording of ten seconds.
+            if seconds is not None and time.monotonic() - started_s >= seconds:
                 break
-            if seconds is not None and frame.t_ns - first_ns >= last_s * 1e9:
-                break
+            continue
+        recorder.keep(frame)
+        first_ns = frame.t_ns if first_ns is None else first_ns
+        if recorder.frames == frames:
+            break
+        if seconds is not None and frame.t_ns - first_ns >= last_s * 1e9:
+            break
 
 
 def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes: str) -> Meta:
@@ -153,7 +175,7 @@ def until(stop: Event, source: Source) -> Iterator[Frame | None]:
     """Yield a source's frames until a signal; report what becomes of the device."""
 
     def report(change: Change) -> None:
-        click.echo(f"device {change.state}: {change.reason}", err=True)
+        say(f"device {change.state}: {change.reason}", err=True)
 
     for frame in frames_of(source, _TIMEOUT_S, on_change=report):
         yield frame
@@ -169,17 +191,17 @@ def walk_through(source: Source, output: Path, meta: Meta) -> None:
         lines = Lines(sys.stdin.fileno())
     except (OSError, ValueError, AttributeError):
         lines = Lines(None)  # no terminal, nor a file in its place
-    click.echo(f"recording to {output}: it can reveal a PIN, so type none; only you can read it")
-    click.echo("Enter leaves a touch out, r and Enter repeats the one before, Ctrl-C ends and saves")
-    with stopping() as stop:
+    say(f"recording to {output}: it can reveal a PIN, so type none; only you can read it")
+    say("Enter leaves a touch out, r and Enter repeats the one before, Ctrl-C ends and saves")
+    with stopping(hangup=True) as stop:
         try:
             asked = None
             for frame in until(stop, source):
                 if asked != walk.asked:
                     asked = walk.asked
-                    click.echo(f"{walk.next + 1} of {len(walk.tasks)}: {walk.tasks[walk.next].text}")
+                    say(f"{walk.next + 1} of {len(walk.tasks)}: {walk.tasks[walk.next].text}")
                 if frame is not None and (said := walk.feed(frame)):
-                    click.echo(said)
+                    say(said)
                 if (line := lines.take()) is not None:
                     walk.repeat() if line == "r" else walk.skip()
                 if walk.next == len(walk.tasks):
@@ -188,11 +210,12 @@ def walk_through(source: Source, output: Path, meta: Meta) -> None:
             # The plate is told in public, the device's number need not be.
             found = walk.recording(meta.model_copy(update={"device": Device(firmware=meta.device.firmware)}))
             if found is not None:
-                write(output, found)
-                click.echo(f"{output}: {len(found.frames)} frames of {len(found.meta.acts)} acts saved")
-                click.echo(checklist(walk))
+                saved = write_beside(output, found)
+                say(f"{saved}: {len(found.frames)} frames of {len(found.meta.acts)} acts saved")
+                say(checklist(walk))
     if found is None:
         raise SourceError("no act is complete, nothing is saved", fix="begin with ten seconds without a touch")
+    _refuse_other(output, saved)
 
 
 def checklist(walk: Walk) -> str:
@@ -214,7 +237,10 @@ class Lines:
     def take(self) -> str | None:
         """Return the next line, stripped; None before one came."""
         if self._handle is not None and select.select([self._handle], [], [], 0)[0]:
-            more = os.read(self._handle, 4096)
+            try:
+                more = os.read(self._handle, 4096)
+            except OSError:  # the terminal has gone
+                more = b""
             self._text += more
             self._handle = self._handle if more else None
         line, end, rest = self._text.partition(b"\n")

@@ -41,15 +41,21 @@ def deliver() -> None:
 
 
 @contextmanager
-def stopping() -> Iterator[threading.Event]:
-    """Yield an event that SIGINT and SIGTERM set, instead of what else they do."""
+def stopping(*, hangup: bool = False) -> Iterator[threading.Event]:
+    """Yield an event that SIGINT and SIGTERM set, instead of what else they do.
+
+    With `hangup` SIGHUP sets it too, unless it is ignored, as under nohup.
+    """
     stop = threading.Event()
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hangup and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
 
     def handle(_number: int, _frame: FrameType | None) -> None:
         stop.set()
 
     with ExitStack() as stack:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in numbers:
             stack.callback(signal.signal, number, signal.signal(number, handle))
         yield stop
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import signal
+import socket
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +19,7 @@ from touchd.errors import ConfigError, DeviceLost, OutputError, SourceError, Tou
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording.data import Meta, Recording
 from touchd.recording.format import read, write
+from touchd.service.frame_feed import DaemonSource, FeedDescription, FrameFeed
 from touchd.sources.open import SourceChoice
 from touchd.sources.source import EndOfStream
 
@@ -113,6 +118,126 @@ def test_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = record("--simulate", "scene", "--plate", "400x300", "-o", tmp_path / "a.npz")
     assert isinstance(result.exception, SourceError)
     assert list(tmp_path.iterdir()) == []
+
+
+class Hangup(Flaky):
+    """A source whose terminal goes with its third frame, and again while the frames are saved."""
+
+    def read(self, timeout_s: float) -> Frame | None:
+        frame = super().read(timeout_s)
+        if self.left == 7:
+            signal.raise_signal(signal.SIGHUP)
+        return frame
+
+    def close(self) -> None:
+        signal.raise_signal(signal.SIGHUP)
+
+
+@pytest.fixture
+def hangups() -> Iterator[list[int]]:
+    """Those that reach whoever handled SIGHUP before."""
+    reached: list[int] = []
+    before = signal.signal(signal.SIGHUP, lambda number, _frame: reached.append(number))
+    yield reached
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize(("ignored", "count"), [(False, 3), (True, 10)])
+def test_hangup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hangups: list[int], ignored: bool, count: int) -> None:
+    """A terminal that goes ends it, and saves the frames; under nohup it goes on."""
+    if ignored:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    live(monkeypatch, Hangup(10, EndOfStream()))
+    assert record("--simulate", "scene", "--plate", "400x300", "-o", tmp_path / "a.npz").exit_code == 0
+    assert len(read(tmp_path / "a.npz").sequence) == count
+    assert hangups == []
+
+
+@pytest.mark.parametrize("limit", [("--frames", 10), ("--seconds", 1), ()])
+def test_the_daemon_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: tuple[object, ...]) -> None:
+    """Frames of a daemon that ends before the recording are saved, and its end is an error."""
+    rig, (mine, its) = Acquisition(channels=2, samples=3, sample_rate_hz=250e3), socket.socketpair(
+        socket.AF_UNIX, socket.SOCK_SEQPACKET
+    )  # fmt: skip
+    feed = FrameFeed(lambda: FeedDescription(acquisition=rig, rate_hz=125, source="usb", plate=META.plate))
+    feed.add(its)
+    for number in range(3):
+        feed.send(Frame(np.zeros(rig.shape, np.int16), number, number * 8_000_000, 0))
+    feed.close()
+    monkeypatch.setattr("touchd.cli.record.open_running", lambda *_: DaemonSource(mine))
+    result = record("-o", tmp_path / "a.npz", *limit)
+    assert isinstance(result.exception, SourceError)
+    assert "the daemon has ended" in str(result.exception)
+    assert "3 frames saved" in result.output
+    assert len(read(tmp_path / "a.npz").sequence) == 3
+
+
+class Rival(Flaky):
+    """A source during which another program makes the file."""
+
+    output: Path
+
+    def close(self) -> None:
+        self.output.write_bytes(b"precious")
+
+
+def test_a_name_taken_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file of another program stays, the frames are saved beside it, and the error says where."""
+    source = Rival(3, EndOfStream())
+    source.output = tmp_path / "a.npz"
+    live(monkeypatch, source)
+    result = record("--simulate", "scene", "--plate", "400x300", "-o", tmp_path / "a.npz")
+    assert isinstance(result.exception, OutputError)
+    assert "exists already" in str(result.exception)
+    assert str(tmp_path / "a-2.npz") in str(result.exception)
+    assert source.output.read_bytes() == b"precious"
+    assert len(read(tmp_path / "a-2.npz").sequence) == 3
+
+
+def test_a_disk_that_fills_up(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says how many frames are on disk, not how many came."""
+
+    def fill(path: Path, chunk: Recording, **options: bool) -> None:
+        if path.name != "000000.npz":
+            raise OutputError("cannot be written (No space left on device)", str(path))
+        write(path, chunk, **options)
+
+    monkeypatch.setattr("touchd.recording.format.write", fill)
+    result = record("--replay", original, "--speed", "max", "-o", tmp_path / "long", "--chunk-frames", 100)
+    assert isinstance(result.exception, OutputError)
+    assert " 100 of " in result.output
+    assert len(read(tmp_path / "long").sequence) == 100
+
+
+def test_full_output(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames are saved although nothing can be printed, and standard error says so."""
+    said: list[str] = []
+
+    def echo(text: str, *, err: bool = False) -> None:
+        if not err:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        said.append(text)
+
+    monkeypatch.setattr("touchd.cli.output.click.echo", echo)
+    assert record("--replay", original, "--speed", "max", "-o", tmp_path / "a.npz").exit_code == 0
+    assert len(read(tmp_path / "a.npz").sequence) == 300
+    assert "300 frames saved" in said[-1]
+
+
+def test_notes_that_no_file_holds(original: Path, tmp_path: Path) -> None:
+    """Notes that are no UTF-8 are refused before the first frame."""
+    result = record("--replay", original, "-o", tmp_path / "a.npz", "--notes", "\udcff")
+    assert result.exit_code == 2
+    assert "UTF-8" in result.output
+    assert list(tmp_path.iterdir()) == [original]
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])
+def test_seconds_that_are_no_time(original: Path, tmp_path: Path, seconds: str) -> None:
+    """A time that never comes is wrong use."""
+    result = record("--replay", original, "-o", tmp_path / "a.npz", "--seconds", seconds)
+    assert result.exit_code == 2
+    assert list(tmp_path.iterdir()) == [original]
 
 
 def test_unknown_plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
