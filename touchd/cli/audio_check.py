@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchd.cli.options import check_picture, config_option
+from touchd.cli.options import NumberRange, check_picture, config_option
 from touchd.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("device", required=False, default="")
 @click.option("--inputs", type=click.IntRange(1, 256), help="Inputs to measure.  [default: those configured]")
-@click.option("--level", type=click.FloatRange(-80, 0), default=-12.0, show_default=True, metavar="DBFS",
+@click.option("--level", type=NumberRange(-80, 0), default=-12.0, show_default=True, metavar="DBFS",
               help="Level of the sweep.")  # fmt: skip
 @click.option("--restarts", type=click.IntRange(1, 1000), default=10, show_default=True, metavar="N",
               help="Starts that tell how stable the delay is.")  # fmt: skip
-@click.option("--seconds", type=click.FloatRange(0.1, 86400), default=10.0, show_default=True, metavar="S",
+@click.option("--seconds", type=NumberRange(0.1, 86400), default=10.0, show_default=True, metavar="S",
               help="For how long xruns are counted.")  # fmt: skip
 @click.option("--plate", "plate_file", type=click.Path(path_type=Path), metavar="PLATE.toml",
               help="Also compute the expected error on this plate.")  # fmt: skip

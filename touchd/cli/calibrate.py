@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchd.cli.options import check_model_output, config_option
+from touchd.cli.options import NumberRange, check_model_output, config_option
 from touchd.errors import DeviceLost, PlatePoor
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ JOINTS = ("disc stiffer", "disc bead")
 @click.option("--ni", is_flag=True, help="Without RECORDING: take frames from NI hardware.")
 @click.option("--audio", metavar="DEVICE", help="Without RECORDING: take frames from an audio interface.")
 @click.option("--simulate", metavar="SCENE", help="Without RECORDING: take frames from a scene of the digital twin.")
-@click.option("--seconds", type=click.FloatRange(1.0), default=10.0, show_default=True, metavar="S",
+@click.option("--seconds", type=NumberRange(1.0), default=10.0, show_default=True, metavar="S",
               help="Without RECORDING: how many seconds of frames to take.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line: progress, then the result.")

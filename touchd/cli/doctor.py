@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from touchd.cli.main import missing_extra
-from touchd.cli.options import config_option
+from touchd.cli.options import NumberRange, config_option
 from touchd.config.load import load
 from touchd.config.schema import Settings
 from touchd.doctor import checks, host
@@ -34,7 +34,7 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 @click.option("--ni", is_flag=True, help="Check the frames of NI hardware, not of the DAQ on USB.")
 @click.option("--audio", metavar="DEVICE", help="Check the frames of an audio interface.")
 @click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
-@click.option("--seconds", type=click.FloatRange(0.5), default=3.0, show_default=True, metavar="S",
+@click.option("--seconds", type=NumberRange(0.5), default=3.0, show_default=True, metavar="S",
               help="How many seconds of frames to take.")  # fmt: skip
 @click.option("--reference", type=click.Path(path_type=Path), metavar="PATH",
               help="The training recording, or one of the untouched plate.  "

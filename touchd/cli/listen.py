@@ -12,6 +12,7 @@ from pathlib import Path
 
 import click
 
+from touchd.cli.options import NumberRange
 from touchd.client import Subscriber
 from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent, TruthEvent, encode
 
@@ -25,7 +26,7 @@ from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEve
 @click.option("--json", "as_json", is_flag=True, help="Print JSON lines.")
 @click.option("--count", type=click.IntRange(min=1), help="Stop after this many messages.")
 @click.option(
-    "--timeout", "timeout_s", type=click.FloatRange(min=0, min_open=True), metavar="S",
+    "--timeout", "timeout_s", type=NumberRange(min=0, min_open=True), metavar="S",
     help="Fail if no message arrives for S seconds.",
 )  # fmt: skip
 @click.option("--until-stopped", is_flag=True, help="Exit when the daemon reports that it stops.")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from touchd.cli.options import NumberRange
 from touchd.cli.simulate import acquisition_option
 from touchd.frame import Acquisition
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @acquisition_option
 @click.option(
     "--noise-db",
-    type=click.FloatRange(-20, 200),
+    type=NumberRange(-20, 200),
     default=60.0,
     show_default=True,
     help="Signal-to-noise ratio of the untouched plate, dB.",
@@ -43,8 +43,6 @@ def command(plate_file: Path, acquisition: Acquisition, noise_db: float, output:
     if output is not None:
         check_picture(output)
     said = read_plate_file(plate_file)
-    if math.isnan(noise_db):
-        raise click.UsageError("--noise-db is not a number")
     check_chirp(acquisition, "--acquisition")
     here = PlateMap(said, acquisition.model_copy(update={"channels": len(said.discs.receivers_mm)}), noise_db)
     given = here.plan(said.layout().centres_mm)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import Any
 
 import click
 
-from touchd.cli.options import check_output
+from touchd.cli.options import Number, NumberRange, check_output
 from touchd.config.schema import LogSettings
 from touchd.errors import SimulationError
 from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate
@@ -65,14 +64,14 @@ acquisition_option = click.option(
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The recording to write (.npz).")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Equal seeds give equal counts.")
 @click.option("--frames", type=click.IntRange(min=1), help="Frames of a scene.  [default: the scene's]")
-@click.option("--rate-hz", type=float, help="Frames per second of a scene.  [default: 125; demo 100]")
+@click.option("--rate-hz", type=Number(), help="Frames per second of a scene.  [default: 125; demo 100]")
 @click.option("--count", type=click.IntRange(min=1), help=f"Touches of a training set.  [default: {COUNT}]")
 @click.option("--finger", type=click.Choice(list(TISSUES)), help="Tissue of the finger.  [default: the scene's]")
 @click.option("--keypad", type=click.Path(path_type=Path), help="Layout of the keys (TOML).  [default: 3 x 4 keys]")
 @click.option("--code", help="Code to type on the keypad.")
 @click.option("--plate", default="200x200x5", show_default=True, callback=_plate, metavar="WxHxT", help="In mm.")
 @click.option("--material", default="glass", show_default=True, type=click.Choice(list(MATERIALS)))
-@click.option("--loss", default=5e-3, show_default=True, help="Loss factor of the plate.")
+@click.option("--loss", default=5e-3, show_default=True, type=Number(), help="Loss factor of the plate.")
 @click.option(
     "--rig",
     type=click.Path(path_type=Path),
@@ -80,25 +79,36 @@ acquisition_option = click.option(
     help="Mounting, tilts and electronics of a real rig (TOML).",
 )
 @click.option(
-    "--noise-db", type=click.FloatRange(-20, 200), metavar="DB",
+    "--noise-db", type=NumberRange(-20, 200), metavar="DB",
     help="Signal-to-noise ratio of the untouched plate, dB.  [default: 60]",
 )  # fmt: skip
-@click.option("--jitter-ns", type=float, help="Standard deviation of the trigger's jitter, ns.  [default: 0]")
+@click.option("--jitter-ns", type=Number(), help="Standard deviation of the trigger's jitter, ns.  [default: 0]")
 @click.option(
-    "--stale-k", default=0.0, show_default=True,
+    "--stale-k", default=0.0, show_default=True, type=Number(),
     help="Touches: warming since the untouched frame, K.",
 )  # fmt: skip
 @click.option("--even", is_flag=True, help="Touches: without gaps and up to the edges, not at random.")
 @click.option(
-    "--temperature-k", "warmer_k", default=0.0, show_default=True, help="Touches: temperature above the reference, K."
+    "--temperature-k",
+    "warmer_k",
+    default=0.0,
+    show_default=True,
+    type=Number(),
+    help="Touches: temperature above the reference, K.",
 )
 @click.option(
     "--fingers", default=1, show_default=True, type=click.IntRange(1, MOST_FINGERS), help="Fingers of each touch."
 )
-@click.option("--apart-mm", default=0.0, show_default=True, help="Least distance between the fingers' centres.")
-@click.option("--edge-gap-mm", type=float, metavar="MM", help="Exact gap between two fingers, edge to edge.")
 @click.option(
-    "--label-noise-mm", default=0.0, show_default=True, help="Touches: standard deviation of the labels, per axis."
+    "--apart-mm", default=0.0, show_default=True, type=Number(), help="Least distance between the fingers' centres."
+)
+@click.option("--edge-gap-mm", type=Number(), metavar="MM", help="Exact gap between two fingers, edge to edge.")
+@click.option(
+    "--label-noise-mm",
+    default=0.0,
+    show_default=True,
+    type=Number(),
+    help="Touches: standard deviation of the labels, per axis.",
 )
 @acquisition_option
 @click.option("--tail", is_flag=True, help="Include the ringing of earlier chirps.")
@@ -143,8 +153,6 @@ def command(
         raise click.UsageError("--jobs and --dask apply to touches; a scene is simulated in one process")
     if jobs is not None and dask is not None:
         raise click.UsageError("--jobs counts processes of this computer; --dask uses the cluster's workers")
-    if noise_db is not None and math.isnan(noise_db):
-        raise click.UsageError("--noise-db is not a number")
     check_output(output, replace=force)
     keys = [(key.name, *key.centre_mm) for key in load_layout(keypad).key] if keypad else None
     described = plate.model_copy(update={"material": material})
