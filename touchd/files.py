@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from touchd.errors import OutputError
+from touchd.errors import ConfigError, OutputError
 
 CHECK = "check folder, space and permissions"
 _PREFIX_BYTES = 100
@@ -33,10 +33,16 @@ def open_file(path: Path, flags: int = 0) -> IO[bytes]:
 
 
 def state_folder(name: str) -> Path:
-    """Return where a part keeps its state, a folder or a file: in systemd's state directory, else in the user's."""
+    """Return where a part keeps its state, a folder or a file: in systemd's state directory, else in the user's.
+
+    Raises ConfigError of a user without a home folder.
+    """
     if managed := os.environ.get("STATE_DIRECTORY"):
         return Path(managed.partition(":")[0]) / name
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    try:
+        home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    except RuntimeError as error:
+        raise ConfigError("this user has no home folder", "environment: HOME", "set HOME, or XDG_STATE_HOME") from error
     return Path(home) / "touchd" / name
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import sys
@@ -13,8 +14,9 @@ import click
 from click.core import ParameterSource
 
 from touchd import __version__
-from touchd.cli.options import chosen, source_options
-from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
+from touchd.cli.options import NumberRange, chosen, source_options
+from touchd.cli.output import discard, say
+from touchd.errors import ConfigError, MissingExtra, ModelMissing, OutputError, TouchdError
 from touchd.service.signals import deliver, held, unwound
 
 if TYPE_CHECKING:
@@ -51,6 +53,7 @@ EXTRAS = {"torch": "train", "dask": "train", "distributed": "train", "scipy": "c
           "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
           "nidaqmx": "ni", "alsaaudio": "audio", "starlette": "web", "uvicorn": "web", "websockets": "web",
           }  # fmt: skip
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Verbs(click.Group):
@@ -80,7 +83,13 @@ class Verbs(click.Group):
 @click.option("--bind", multiple=True, metavar="ADDRESS", help="Publish at tcp:// or ipc:// ADDRESS; repeatable.")
 @click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: the installed one]")
 @click.option("--print", "echo", is_flag=True, help="Print each event as a line of JSON, too.")
-@click.option("--await-subscriber", default=0.0, metavar="SECONDS", help="Wait up to SECONDS for a subscriber first.")
+@click.option(
+    "--await-subscriber",
+    type=NumberRange(0),
+    default=0.0,
+    metavar="SECONDS",
+    help="Wait up to SECONDS for a subscriber first.",
+)
 @click.option("--debug", is_flag=True, help="Print tracebacks, and log at level debug.")
 @click.version_option(__version__, prog_name="touchd")
 @click.pass_context
@@ -126,7 +135,7 @@ def touchd(
     if bind:
         overrides["bus"] = {"bind": bind}
     if model:
-        if not model.exists():  # a path in the configuration may wait for its file, uncalibrated
+        if not os.path.exists(model):  # a path in the configuration may wait for its file, uncalibrated
             raise ModelMissing("no such model", str(model), "check the path")
         overrides["model"] = {"path": model}
     if debug:
@@ -198,8 +207,21 @@ def _explain(error: Exception, debug: bool) -> int:
     """Print the error in one line, after its traceback if `debug`, and return the exit status."""
     if debug:
         traceback.print_exception(error)
+    if isinstance(error, OSError) and error.errno in _FULL:
+        error = _unprintable(error)
     if isinstance(error, TouchdError):
-        click.echo(f"touchd: {error}", err=True)
+        say(f"touchd: {error}", err=True)
         return error.exit_code
-    click.echo(f"touchd: internal error: {error!r} -> run again with --debug and report what it prints", err=True)
+    say(f"touchd: internal error: {error!r} -> run again with --debug and report what it prints", err=True)
     return 1
+
+
+def _unprintable(error: OSError) -> OutputError:
+    """Return what to do about a line that could not be printed: files have an OutputError of their own."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        discard(sys.stdout)
+    return OutputError(
+        f"cannot be written ({error.strerror})", "standard output", "check where it leads, and its space"
+    )

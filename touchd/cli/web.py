@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import click
 
 from touchd.cli.options import bus_option, config_option
+from touchd.cli.output import say
 from touchd.config.apart import load_apart
 from touchd.errors import RecordingMissing
 from touchd.service.systemd import Notifier
@@ -49,7 +51,7 @@ def command(
     from touchd.web.server import bind, serve
     from touchd.web.site import Site
 
-    if replay is not None and not replay.exists():
+    if replay is not None and not os.path.exists(replay):  # by os: of a name too long for any file, too
         raise RecordingMissing("no such recording", str(replay), "check the path")
     found = load_apart(config)
     configure(found.log)
@@ -63,4 +65,4 @@ def command(
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
         debug = bool((above or {}).get("debug"))
-        serve(site, listening, lambda: click.echo(f"touchd: open {url}"), manager, debug=debug)
+        serve(site, listening, lambda: say(f"touchd: open {url}"), manager, debug=debug)

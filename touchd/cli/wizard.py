@@ -9,7 +9,8 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.options import bus_option, config_option
+from touchd.cli.options import NumberRange, bus_option, config_option
+from touchd.cli.output import say
 
 
 @click.command()
@@ -17,7 +18,7 @@ from touchd.cli.options import bus_option, config_option
               help="Where to listen.  [default: the service's, or yours]")  # fmt: skip
 @click.option("--folder", type=click.Path(path_type=Path), metavar="DIR",
               help="Where the state is kept.  [default: the service's state, or yours]")  # fmt: skip
-@click.option("--seconds", type=click.FloatRange(0.5), default=10.0, show_default=True, metavar="S",
+@click.option("--seconds", type=NumberRange(0.5), default=10.0, show_default=True, metavar="S",
               help="How long the plate stays untouched.")  # fmt: skip
 @bus_option
 @config_option
@@ -53,4 +54,4 @@ def command(
         config or DEFAULT_PATH, path.with_name(HANDED), address,
     )  # fmt: skip
     with closing(Notifier.from_environment()) as manager:
-        asyncio.run(serve(worker, state, path, manager, lambda: click.echo(f"touchd: {path}: ready")))
+        asyncio.run(serve(worker, state, path, manager, lambda: say(f"touchd: {path}: ready")))

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 
@@ -20,9 +21,12 @@ from tests.processes import ROOT, Ended
 from tests.system.usb.backend import FakeBus, FakeDaq
 from tests.system.usb.reader import INFO
 from touchd import errors
+from touchd.__main__ import open_streams
 from touchd.cli import main as cli
 from touchd.cli.main import VERBS, main, missing_extra
+from touchd.cli.options import Number
 from touchd.errors import TouchdError
+from touchd.files import state_folder
 from touchd.recording.format import write
 
 
@@ -246,6 +250,12 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         ),
         ("plug it in, or name a RECORDING",),
     ),
+    "a recording of a name too long for any": (
+        errors.RecordingMissing,
+        lambda _w: ("web", "--replay", "x" * 5000),
+        ("check the path",),
+    ),
+    "a model of a name too long for any": (errors.ModelMissing, bound("--model", "x" * 5000), ("check the path",)),
     "two sources": (errors.SourceError, bound("--simulate", "tap"), ("--simulate",)),
     "an unknown scene": (errors.SimulationError, lambda _w: ("--simulate", "dance"), ("'dance'", "swipe")),
     "an output that is there": (
@@ -399,6 +409,40 @@ def test_internal_error(debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert debug or len(lines) == 1
 
 
+def test_full_output(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """A full standard output is no internal error, and the process ends without another."""
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert main(["config", "--default"]) == errors.OutputError.exit_code
+        full.flush()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("touchd: standard output: cannot be written (No space left on device) -> ")
+
+
+@pytest.mark.parametrize("stream", ["stdin", "stdout", "stderr"])
+def test_closed_stream(stream: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A standard stream that was closed at the start is one on nothing; the others stay."""
+    others = {name: getattr(sys, name) for name in ("stdin", "stdout", "stderr") if name != stream}
+    monkeypatch.setattr(sys, stream, None)
+    open_streams()
+    assert all(getattr(sys, name) is other for name, other in others.items())
+    with getattr(sys, stream) as opened:
+        assert opened.read() == "" if stream == "stdin" else opened.write("a line\n")
+
+
+def test_no_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user without a home folder is told which variables to set."""
+
+    def home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", home)
+    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(errors.ConfigError, match="set HOME"):
+        state_folder("preroll")
+
+
 def test_interrupted_import(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Ctrl-C while a library in C is imported is no internal error."""
 
@@ -442,6 +486,21 @@ def test_impossible_speed(speed: str, capsys: pytest.CaptureFixture[str]) -> Non
     """An impossible speed is wrong use."""
     assert main(["--speed", speed, "--replay", "nowhere.npz"]) == 2
     assert "a number above 0, or max" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf"])
+def test_impossible_number(number: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is not a finite number is wrong use, of every option that takes a number."""
+    assert main(["--await-subscriber", number, "--replay", "nowhere.npz"]) == 2
+    assert "--await-subscriber" in capsys.readouterr().err
+    context = click.Context(cli.touchd)
+    for command in (cli.touchd, *(cli.touchd.get_command(context, verb) for verb in VERBS)):
+        assert command is not None
+        for option in command.params:
+            if isinstance(option.type, click.types.FloatParamType):
+                assert isinstance(option.type, Number), f"{command.name} {option.name}"
+                with pytest.raises(click.BadParameter):
+                    option.type.convert(number, option, context)
 
 
 @pytest.mark.parametrize("verb", sorted(VERBS))
