@@ -23,7 +23,7 @@ from typing import Any
 import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -127,20 +127,27 @@ def make_app(site: Site) -> Starlette:
     routes.append(Route(SESSION_PATH, partial(_session, site), methods=["POST"]))
     routes += [route for view in VIEWS for route in view.routes(site)]
     guard = Middleware(Guard, access=site.access, open_paths={*page, SESSION_PATH})
-    return Starlette(routes=routes, middleware=[guard], lifespan=lifespan)
+    return Starlette(routes=routes, middleware=[guard], exception_handlers={ClientDisconnect: _left}, lifespan=lifespan)
 
 
 def _close_waiting(connections: Iterable[Any], since_ns: dict[Any, int], now_ns: int) -> dict[Any, int]:
     """Close connections on which no whole request has arrived for too long; return since when each waits.
 
-    WebSockets are others. A connection has no `cycle` before its first request.
+    WebSockets are others. A connection has no `cycle` before its first request. The next request's head makes another
+    `cycle`, and the time for its body begins with it.
     """
     http = [one for one in connections if isinstance(one, H11Protocol)]
-    idle = [one for one in http if one.cycle is None or one.cycle.response_complete]
-    for one in idle:
-        if now_ns - since_ns.get(one, now_ns) > _REQUEST_NS:
+    waiting = [one for one in http if one.cycle is None or one.cycle.response_complete or one.cycle.more_body]
+    found = {(one, one.cycle): since_ns.get((one, one.cycle), now_ns) for one in waiting}
+    for (one, _), waits_ns in found.items():
+        if now_ns - waits_ns > _REQUEST_NS:
             one.transport.close()
-    return {one: since_ns.get(one, now_ns) for one in idle}
+    return found
+
+
+async def _left(_request: Request, _error: Exception) -> Response:
+    """Answer nobody: the browser left, or was closed, before its request's body had arrived."""
+    return Response(status_code=400)
 
 
 def _without_traceback(record: logging.LogRecord) -> bool:
