@@ -62,7 +62,8 @@ async def _do(site: Site, request: Request) -> Response:
     if not isinstance(asked, dict) or asked.get("do") == "watch":
         return JSONResponse({"ok": False, "problem": "no command"}, 400)
     answer = await _ask(site, asked)
-    return JSONResponse(answer, 200 if answer["ok"] else 409)
+    # In ASCII: what was typed may be in it, half of a surrogate pair too, which UTF-8 does not have.
+    return Response(json.dumps(answer), 200 if answer["ok"] else 409, media_type="application/json")
 
 
 async def _picture(site: Site, request: Request) -> Response:

@@ -68,10 +68,10 @@ def test_part_of_a_request(sent: bytes, caplog: pytest.LogCaptureFixture) -> Non
             await browser.send(sent)
         since_ns = browser.look({}, 0)
         since_ns = browser.look(since_ns, BEFORE_NS)
-        assert not browser.closed
+        assert not browser.is_closing()
         browser.look(since_ns, AFTER_NS)
-        assert browser.closed
         await browser.settle()
+        assert browser.is_closing()
         assert not browser.state.tasks
 
     with caplog.at_level(logging.WARNING):
