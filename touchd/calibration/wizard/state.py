@@ -19,8 +19,9 @@ from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.calibration.taps import ORIENTATIONS, refine, taps_of, told_by
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
 from touchd.calibration.wizard.frames import Tapped, Tapper, frames_until, meta_of, refuse_keypad
-from touchd.errors import OutputError, TouchdError
-from touchd.files import replacing
+from touchd.calibration.wizard.kept import read_kept
+from touchd.errors import OutputError, PlateFileInvalid, TouchdError
+from touchd.files import replacing, writing
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
 from touchd.recording.data import Meta, Recording
 from touchd.recording.format import read, write
@@ -72,8 +73,7 @@ class State:
         self._known = dict(NOTHING)
         self.version = 0
         """Counts the changes."""
-        with contextlib.suppress(OSError, ValueError):
-            self._known |= json.loads((folder / "state.json").read_bytes())
+        self._known |= read_kept(folder / "state.json")
         self.tidy()
 
     def __getitem__(self, name: str) -> Any:
@@ -121,8 +121,9 @@ class State:
             self.set(taps=taps)
         known = {tap["chunk"] for tap in taps}
         for file in self.taps.iterdir() if self.taps.is_dir() else ():
-            if file.name not in known:
-                file.unlink()
+            if file.name not in known and (file.is_symlink() or not file.is_dir()):
+                with writing(file):
+                    file.unlink()
 
 
 def to_toml(tables: dict[str, Any]) -> str:

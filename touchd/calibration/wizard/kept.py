@@ -1,0 +1,94 @@
+"""Read the wizard's state from its file; put a file that holds none aside."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+import structlog
+from pydantic import BaseModel, ValidationError, model_validator
+
+from touchd.files import open_file, writing
+
+log = structlog.get_logger()
+Place = tuple[float, float]
+Table = dict[str, Any]
+
+
+class _Tap(BaseModel):
+    number: int
+    chunk: str
+    target_mm: Place
+
+
+class _Mapping(BaseModel):
+    screen_mm: tuple[float, float, float, float]
+
+
+class _Wish(BaseModel):
+    recording: str
+    recipe: str
+
+
+class _Kept(BaseModel):
+    """The fields as far as the wizard relies on them; a file of another version may lack some and have others.
+
+    Paths in texts may be no Unicode, which pydantic refuses: texts that are only shown are not checked.
+    """
+
+    running: Literal["untouched", "fit", "crosses", "taps", "train"] | None = None
+    share: float = 0.0
+    plate: Table | None = None
+    untouched: bool = False
+    result: Table | None = None
+    taps: list[_Tap] = []
+    again: list[tuple[int, int]] = []
+    next: int = 0
+    target_mm: Place | None = None
+    last: Table | None = None
+    told: Table | None = None
+    runs: str = ""
+    before: str | None = None
+    compared: Table | None = None
+    cross: Table | None = None
+    mapping: _Mapping | None = None
+    expected: Table | None = None
+    log: list[Any] = []
+    training: _Wish | None = None
+    trained: Table | None = None
+
+    @model_validator(mode="after")
+    def _knows_what_to_train(self) -> _Kept:
+        if self.running == "train" and self.training is None:
+            raise ValueError("a training runs, and on which recording is missing")
+        return self
+
+
+def read_kept(path: Path) -> dict[str, Any]:
+    """Return the fields in a state's file; none if the file is missing, cannot be read, or holds no state.
+
+    One that holds no state is renamed to `state.json.damaged`, with a warning in the log. Raises OutputError if it
+    cannot be renamed.
+    """
+    try:
+        with open_file(path) as file:
+            content = file.read()
+    except OSError:
+        return {}
+    try:
+        found: dict[str, Any] = json.loads(content)
+        _Kept.model_validate(found)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    except (ValueError, RecursionError) as error:
+        reason = str(error)
+    else:
+        return found
+    aside = path.with_name(f"{path.name}.damaged")
+    with writing(path):
+        os.replace(path, aside)
+    log.warning("the wizard's state is damaged: the wizard begins with none", path=path, aside=aside, reason=reason)
+    return {}
