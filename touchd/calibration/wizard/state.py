@@ -39,6 +39,7 @@ each with the count of good taps from which on; `mapping` is where the configura
 map of the expected error; `runs` and `before` are those of `Trial`; `training` is what to train on and how, `trained`
 what came of it, and `untrainable` why this computer cannot."""
 _FLEETING = frozenset({"share", "note", "log"})
+_OF_TAPS = ("taps", "again", "next", "target_mm", "last", "told", "expected", "compared")
 _LASTING = ("plate", "mapping", "training", "trained", "untrainable", "runs", "before")
 
 LEAST_TO_TELL = 3
@@ -99,12 +100,25 @@ class State:
         """Return what a person measured; PlateFileInvalid before that."""
         return check_plate_file(self["plate"] or {}, "measures")
 
+    def is_another(self, tables: dict[str, Any]) -> bool:
+        """Return whether these measures are of a plate of another size, thickness or material."""
+        plate = check_plate_file(tables, "measures").described()
+        with contextlib.suppress(PlateFileInvalid):
+            return self.said().described() != plate
+        return True
+
     def set_plate(self, tables: dict[str, Any]) -> None:
-        """Take what a person measured; PlateFileInvalid says what is wrong with it."""
+        """Take what a person measured; PlateFileInvalid says what is wrong with it.
+
+        Discard taps if size, thickness or material change: their labels are crosses on the drawing from before.
+        """
         said = check_plate_file(tables, "measures").model_dump(mode="json", exclude_unset=True, exclude_none=True)
+        dropped = {name: NOTHING[name] for name in _OF_TAPS} if self.is_another(tables) else {}
         with replacing(self.plate_file, mode=0o600) as file:
             file.write(to_toml(said).encode())
-        self.set(plate=said, problem="")
+        self.set(plate=said, problem="", **dropped)
+        if dropped:  # else a tap may be on its way: on disk, and not in the state
+            self.tidy()
 
     def begin_again(self) -> None:
         """Forget all but the measures, the mapping and the training."""

@@ -102,13 +102,21 @@ class Worker:
 
     def _commands(self) -> dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]]:
         return {name: lambda _, job=name: self._run(job) for name in self._jobs} | {
-            "measures": lambda asked: self._state.set_plate(asked["plate"]), "train": self._ask_to_train,
+            "measures": self._measure, "train": self._ask_to_train,
             "pause": lambda _: self._halt(), "undo": lambda _: self._undo(),
             "try": self._try, "take": lambda _: self._trial.take(), "rollback": lambda _: self._trial.go_back(),
             "compare": lambda _: self._compare(), "begin": lambda _: self._begin(), "picture": self._picture,
         }  # fmt: skip
 
     # -- commands ------------------------------------------------------------------------------------
+
+    def _measure(self, asked: dict[str, Any]) -> None:
+        if self._state.is_another(asked["plate"]):
+            if self._state["running"] == "fit" and self._state["taps"]:
+                raise CalibrationError("a fit with the taps runs", "", "wait for its end, or stop it first")
+            if self._state["running"] == "taps":  # its crosses are those of the plate before
+                self._halt()
+        self._state.set_plate(asked["plate"])
 
     def _undo(self) -> None:
         """Take back the last good tap."""

@@ -20,6 +20,7 @@ export function mount(root, page) {
   const bar = element('progress', { max: 1, value: 0 });
   const share = element('span', { 'aria-hidden': 'true' }), doing = element('p', { class: 'doing', role: 'status' });
   const form = measures(t.measures, async plate => await act({ do: 'measures', plate }) && choose('untouched'));
+  const drops = element('p', { class: 'muted', hidden: true });
   const listen = button(t.untouched.start, 'untouched', true), stop = button(t.untouched.stop, 'pause');
   const again = button(t.fit.again, 'fit');
   const verdict = element('div', { class: 'fitted' });
@@ -38,7 +39,7 @@ export function mount(root, page) {
   const tapsPanel = panel('taps', element('p', { class: 'muted' }, t.taps.hint), element('div', { class: 'tapping' }, pane.root,
     element('div', {}, tapped, told, expected, scale, element('div', { class: 'row' }, tapOn, tap, pause, undo, refine))));
   const panels = [
-    panel('measures', element('p', { class: 'muted' }, t.measures.hint), form.root),
+    panel('measures', element('p', { class: 'muted' }, t.measures.hint), drops, form.root),
     panel('untouched', element('p', { class: 'muted' }, t.untouched.hint), listen),
     panel('fit', element('p', { class: 'muted' }, t.fit.hint), again),
     busy,
@@ -95,6 +96,8 @@ export function mount(root, page) {
     }
     root.dataset.step = chosen;
     form.show(plate);
+    drops.hidden = !state.taps.length;
+    say(drops, t.measures.drops(state.taps.length));
     for (const each of panels) each.hidden = each.dataset.panel !== chosen;
     busy.hidden = !(listening || fitting || taught);
     tapsPanel.hidden = !open.taps || chosen !== 'verdict' && chosen !== 'taps';

@@ -92,6 +92,7 @@ export const texts = {
       materials: ['glass', 'pmma', 'aluminium', 'steel'], edges: { free: 'free', pads: 'pads', tape: 'tape', clamped: 'clamped' },
       each: 'each side its own', sides: { left: 'Left', right: 'Right', top: 'Top', bottom: 'Bottom' }, constants: 'by its constants',
       more: 'One receiver more', less: 'One less', save: 'Save the measures',
+      drops: n => `If you change size, thickness or material, the wizard discards ${n === 1 ? 'the tap: it belongs' : `the ${n} taps: they belong`} to the old drawing.`,
     },
     untouched: {
       hint: 'Take everything off the plate. Its own sound tells what it is.',

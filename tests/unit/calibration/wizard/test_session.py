@@ -22,7 +22,7 @@ from touchd.calibration.walk import target_mm
 from touchd.calibration.wizard import state as session
 from touchd.calibration.wizard.frames import Tapped
 from touchd.calibration.wizard.state import State
-from touchd.errors import CalibrationError
+from touchd.errors import CalibrationError, PlateFileInvalid
 from touchd.frame import Plate
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
 from touchd.recording.data import Meta
@@ -123,6 +123,52 @@ def test_undone_target(tmp_path: Path) -> None:
     assert (state["again"][0], state["next"], state["last"]) == ([1, 0], 3, None)
     take(folder, 1)
     assert [number for number, _ in State(folder)["again"]] == [2]
+
+
+def measures(**changes: object) -> dict[str, Any]:
+    discs = {"diameter_mm": 6.0, "emitter_mm": [20.0, 50.0], "receivers_mm": [[12.0, 12.0], [98.0, 18.0]]}
+    plate = {"width_mm": 110.0, "height_mm": 90.0, "thickness_mm": 5.0, "material": "glass", "edge": "free"}
+    return {"plate": plate | changes, "discs": discs}
+
+
+def take_measured(state: State, number: int) -> None:
+    """Take a tap on the plate that was measured."""
+    state.set(target_mm=(10.0 + number, 20.0))
+    meta = META.model_copy(update={"plate": state.said().described()})
+    session.take(state, Tapped("", FRAMES, 4, found_mm=(10.0, 20.0)), meta, number)
+
+
+@pytest.mark.parametrize("changed", [{"width_mm": 112.0}, {"thickness_mm": 6.0}, {"material": "steel"}])
+def test_corrected_plate(tmp_path: Path, changed: dict[str, object]) -> None:
+    """Taps of a plate of other measures are discarded, the page shows none; taps of the new one can be read."""
+    state = State(tmp_path / "state")
+    state.taps.mkdir()
+    state.set_plate(measures())
+    for number in (0, 1):
+        take_measured(state, number)
+    state.set(told={"off_mm": 1.0}, compared={})
+    state.set_plate(measures(**changed))
+    assert {name: state[name] for name in session._OF_TAPS} == {
+        name: session.NOTHING[name] for name in session._OF_TAPS
+    }
+    assert list(state.taps.iterdir()) == []
+    take_measured(state, 2)
+    assert kept(state.folder) == [2]
+
+
+def test_corrected_edge(tmp_path: Path) -> None:
+    """Taps stay if the plate has the same size, thickness and material, and if measures are refused."""
+    state = State(tmp_path / "state")
+    state.taps.mkdir()
+    state.set_plate(measures())
+    take_measured(state, 0)
+    (state.taps / "0001.npz").write_bytes(b"the next tap, which the state names in a moment")
+    state.set_plate(measures(edge="tape"))
+    assert (state.taps / "0001.npz").exists()
+    with pytest.raises(PlateFileInvalid):
+        state.set_plate(measures(width_mm=-1.0))
+    take_measured(state, 1)
+    assert kept(state.folder) == [0, 1]
 
 
 @pytest.mark.parametrize("scatter_mm", [0.4, 1.4])

@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -81,6 +82,44 @@ def test_measures(tmp_path: Path) -> None:
     assert (said["ok"], "over the edge" in said["problem"]) == (False, True)
     assert said["fix"]
     assert tomllib.loads(state.plate_file.read_text()) == PLATE
+
+
+def test_measures_while_tapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measures of another plate end the tapping, whose crosses are those of the plate before; others leave it alone."""
+    begun = threading.Event()
+
+    def collect(_state: State, _feed: object, stop: threading.Event) -> None:
+        begun.set()
+        stop.wait()
+        raise Stopped
+
+    monkeypatch.setattr(worker_module, "collect", collect)
+    monkeypatch.setattr(worker_module, "open_feed", lambda _: SimpleNamespace(close=lambda: None))
+    worker, state = made(tmp_path)
+    worker.answer({"do": "measures", "plate": PLATE})
+    worker.answer({"do": "taps"})
+    begun.wait()
+    for table in (PLATE, PLATE | {"plate": PLATE["plate"] | {"edge": "tape"}}, PLATE | {"plate": {}}):
+        worker.answer({"do": "measures", "plate": table})
+        assert state["running"] == "taps"
+    assert worker.answer({"do": "measures", "plate": PLATE | {"plate": PLATE["plate"] | {"width_mm": 112.0}}})["ok"]
+    assert state["running"] is None
+
+
+def test_measures_while_fitting(tmp_path: Path, fits: list[threading.Event]) -> None:
+    """Measures of another plate wait for a fit with taps, which reads them; others do not."""
+    worker, state = made(tmp_path)
+    worker.answer({"do": "measures", "plate": PLATE})
+    state.set(taps=[{"number": 0, "chunk": "0000.npz", "target_mm": [20.0, 20.0]}])
+    worker.answer({"do": "fit"})
+    await_that(lambda: len(fits) == 1)
+    another = PLATE | {"plate": PLATE["plate"] | {"width_mm": 112.0}}
+    assert "stop it first" in worker.answer({"do": "measures", "plate": another})["fix"]
+    assert (len(state["taps"]), state["running"]) == (1, "fit")
+    assert worker.answer({"do": "measures", "plate": PLATE}) == {"ok": True}
+    worker.answer({"do": "pause"})
+    assert worker.answer({"do": "measures", "plate": another}) == {"ok": True}
+    assert state["taps"] == []
 
 
 def test_toml() -> None:
