@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import structlog
 
 from touchd.calibration.error_map import ErrorMap
 from touchd.calibration.place_correction import Widths
@@ -27,6 +28,7 @@ from touchd.recording.data import Meta, Recording
 from touchd.recording.format import read, write
 from touchd.service.frame_feed import DaemonSource
 
+log = structlog.get_logger()
 NOTHING: dict[str, Any] = {
     "running": None, "share": 0.0, "note": "", "problem": "", "fix": "", "plate": None, "untouched": False,
     "result": None, "taps": [], "again": [], "next": 0, "target_mm": None, "last": None, "told": None,
@@ -90,6 +92,16 @@ class State:
                     file.write(json.dumps(known).encode())
             self._known = known
             self.version += 1
+
+    def set_anyway(self, **changes: Any) -> None:
+        """Change fields of what is so even if a full disk takes no copy of it; the log says so."""
+        try:
+            self.set(**changes)
+        except OutputError as error:
+            log.error("the state is not on disk", error=str(error))
+            with self._lock:
+                self._known = self._known | changes
+                self.version += 1
 
     def all(self) -> dict[str, Any]:
         """Return all fields."""

@@ -82,7 +82,7 @@ class Worker:
         """End the job that runs, to be resumed by another process."""
         running = self._state["running"]
         self._halt()
-        self._state.set(running=running)
+        self._state.set_anyway(running=running)
 
     def answer(self, asked: Any) -> dict[str, Any]:
         """Obey a command, and return what is to be said of it: at least `ok`."""
@@ -96,8 +96,8 @@ class Worker:
                 if name in (*ENDING, "try") and self._state["running"] in LONG:
                     raise CalibrationError("a fit or a training runs", "", "wait for its end, or stop it first")
                 found = command(asked)
-        except TouchdError as error:
-            return {"ok": False} | _told(error)
+        except Exception as error:
+            return {"ok": False} | _told(error, "the command failed")
         return {"ok": True} | (found or {})
 
     def _commands(self) -> dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]]:
@@ -129,6 +129,9 @@ class Worker:
 
     def _ask_to_train(self, asked: dict[str, Any]) -> None:
         wish = {name: str(asked[name]) for name in ("recording", "recipe")}
+        for name, text in wish.items():
+            if "\0" in text or any("\ud800" <= letter <= "\udfff" for letter in text):
+                raise CalibrationError("contains a character that no path has", name, "type it again")
         if not os.access(wish["recording"], os.R_OK):
             raise RecordingMissing(
                 "is not there, or not for this process to read", wish["recording"],
@@ -149,11 +152,11 @@ class Worker:
         self._state.begin_again()
 
     def _picture(self, asked: dict[str, Any]) -> dict[str, Any]:
-        name = asked["name"]
-        if name not in PICTURES or not self._state["result"] or not self._state["result"]["report"]:
-            return {"ok": False, "problem": "no such picture"}
-        content = (Path(self._state["result"]["report"]) / name).read_bytes()
-        return {"png": base64.b64encode(content).decode()}
+        name, result = asked["name"], self._state["result"]
+        if name in PICTURES and result and result["report"]:
+            with contextlib.suppress(OSError):
+                return {"png": base64.b64encode((Path(result["report"]) / name).read_bytes()).decode()}
+        return {"ok": False, "problem": "no such picture"}
 
     # -- jobs ----------------------------------------------------------------------------------------
 
@@ -169,7 +172,7 @@ class Worker:
         if self._thread is not None:
             self._thread.join()
         self._thread = None
-        self._state.set(running=None, note="")
+        self._state.set_anyway(running=None, note="")
 
     def _guard(self, job: Job, stop: threading.Event) -> None:
         """Run a job; its error is for the page."""
@@ -177,11 +180,8 @@ class Worker:
             job(stop)
         except Stopped:
             return
-        except TouchdError as error:
-            self._state.set(running=None, **_told(error))
         except Exception as error:
-            log.exception("the job failed")
-            self._state.set(running=None, problem=f"internal error: {error!r}", fix="see the log: journalctl")
+            self._state.set_anyway(running=None, **_told(error, "the job failed"))
 
     def _take(self, stop: threading.Event) -> None:
         said = self._state.said()
@@ -209,7 +209,7 @@ class Worker:
         try:
             touched = take_crosses(self._bus, stop, lambda due: self._state.set(cross=due))
         finally:
-            self._state.set(cross=None)
+            self._state.set_anyway(cross=None)
         self._state.set(mapping=keep(touched, self._config, self._handed))
         self._state.set(running=None)
 
@@ -229,8 +229,12 @@ class Worker:
         self._state.set(share=share, note=note)
 
 
-def _told(error: TouchdError) -> dict[str, str]:
-    return {"problem": f"{error.where}: {error.what}" if error.where else error.what, "fix": error.fix}
+def _told(error: Exception, what: str) -> dict[str, str]:
+    """Return what the page shows of an error; log one that touchd does not raise on purpose."""
+    if isinstance(error, TouchdError):
+        return {"problem": f"{error.where}: {error.what}" if error.where else error.what, "fix": error.fix}
+    log.exception(what, exc_info=error)
+    return {"problem": f"internal error: {error!r}", "fix": "see the log: journalctl"}
 
 
 async def serve(worker: Worker, state: State, path: Path, manager: Notifier, ready: Callable[[], object]) -> None:
@@ -241,7 +245,8 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
     ended = asyncio.Event()
 
     async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        broken = (OSError, ValueError, RecursionError, asyncio.IncompleteReadError)
+        # The wizard's end cancels a conversation: one that ended so would put a traceback into the log.
+        broken = (OSError, ValueError, RecursionError, asyncio.IncompleteReadError, asyncio.CancelledError)
         with contextlib.suppress(*broken), contextlib.closing(writer):
             while line := await reader.readline():
                 asked = json.loads(line)
@@ -263,21 +268,23 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
         server = await asyncio.start_unix_server(converse, path, limit=MOST_BYTES)
     except OSError as error:
         raise OutputError(
-            f"no socket can be made there ({error.strerror})", str(path), "name another place with --socket"
+            f"no socket can be made there ({error.strerror or error})", str(path), "name another place with --socket"
         ) from error
     finally:
         os.umask(umask)
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
-    worker.resume()
-    ready()
-    manager.ready()
-    await ended.wait()
-    manager.stopping()
-    server.close()
-    await asyncio.to_thread(worker.end)
-    path.unlink(missing_ok=True)
+    try:
+        worker.resume()
+        ready()
+        manager.ready()
+        await ended.wait()
+        manager.stopping()
+        server.close()
+        await asyncio.to_thread(worker.end)
+    finally:
+        path.unlink(missing_ok=True)
 
 
 async def _watch(state: State, writer: asyncio.StreamWriter, ended: asyncio.Event) -> None:
