@@ -134,6 +134,7 @@ class Subscriber(Generic[E]):
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._waits_s = math.inf  # in a call that receives
+        self._process = os.getpid()
         try:
             self._socket.setsockopt(zmq.LINGER, 0)
             self._socket.setsockopt(zmq.MAXMSGSIZE, _MOST_BYTES)
@@ -174,6 +175,8 @@ class Subscriber(Generic[E]):
 
         Raises BusTimeout if there was none, BusError if a message is not one of the bus.
         """
+        if os.getpid() != self._process:  # libzmq would wait for ever
+            raise BusError("made before this process was forked", self.address, "make a Subscriber in each process")
         if timeout_s is not None and math.isnan(timeout_s):
             raise BusError("the time to wait is not a number", self.address, "give seconds, or None")
         left_s = math.inf if timeout_s is None else timeout_s
@@ -197,7 +200,10 @@ class Subscriber(Generic[E]):
         )
 
     def close(self) -> None:
-        """End the subscription; further calls do nothing, and an iteration ends."""
+        """End the subscription; further calls do nothing, and an iteration ends.
+
+        Call it in the thread that receives: libzmq may end a program that closes a socket while another thread waits.
+        """
         self._socket.close()
         self._context.term()
 

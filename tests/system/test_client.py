@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import socket
 import time
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import pytest
 import zmq
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from touchd import client
 from touchd.client import Subscriber
@@ -174,6 +176,8 @@ PRESS = encode(KeyEvent("plate", 1, 0, "", "7", "press", 1.0))
         ([b"touch", b'{"v":2}'], "of version 2.*upgrade"),
         ([b"touch", b'{"more":' + b"[" * 100_000 + b"]" * 100_000 + b"}"], "not a touch message"),
         ([b"touch", b'{"v":[2]}'], "not a touch message"),
+        ([b"touch", encode(replace(touch(1), t_ns=-(10**40)))], "t_ns or seq: not as agreed"),
+        ([b"touch", encode(replace(touch(1), seq=1 << 63))], "t_ns or seq: not as agreed"),
     ],
 )
 def test_a_malformed_message_is_explained_without_quoting_it(wire: Wire, parts: list[bytes], problem: str) -> None:
@@ -347,6 +351,23 @@ def test_a_huge_message(wire: Wire) -> None:
 def test_for_ever(wire: Wire, timeout_s: float) -> None:
     """To wait without end can be said as a number, too."""
     with Subscriber(wire.address, timeout_s=timeout_s) as events:
+        wire.wait()
+        wire.send(touch(1))
+        assert next(events).seq == 1
+
+
+def test_a_forked_process(wire: Wire) -> None:
+    """A subscription does not go along into a process that is forked: that is told, not waited for."""
+    with Subscriber(wire.address) as events:
+        child = os.fork()
+        if not child:
+            try:
+                events.receive(0.01)
+            except BusError as error:
+                os._exit(7 if "each process" in error.fix else 1)
+            finally:
+                os._exit(1)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
         wire.wait()
         wire.send(touch(1))
         assert next(events).seq == 1

@@ -120,7 +120,7 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     power = np.square(heard).sum(axis=1)
     cable = int(np.argmax(power))
     noise -= noise.mean(axis=2, keepdims=True)
-    if power[cable] < 10 * np.square(noise[:, cable]).sum(axis=1).mean():
+    if power[cable] <= 10 * np.square(noise[:, cable]).sum(axis=1).mean():
         raise Doubtful("no input hears the output: join an output to an input with a cable, and turn the knobs up")
     found = Checked(card.name, card.rate_hz, cable + 1)
     found.noise_dbfs = _db(2 * noise.var(axis=(0, 2))).tolist()

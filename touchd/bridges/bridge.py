@@ -145,7 +145,8 @@ def run(address: str | None, output: Output, goes_on: Callable[[int], bool]) -> 
                 if isinstance(event, TouchEvent):
                     wait_s = _WAIT_S  # the patience after a touch is longer
                     continue
-                if isinstance(event, KeyEvent):
+                # A press whose finger does not count would never be released if the daemon ended now.
+                if isinstance(event, KeyEvent) and (following.down or event.phase == "release"):
                     output.press(event)
                 wait_s = following.patience_s(now_ns, _WAIT_S)
     finally:

@@ -20,6 +20,9 @@ _REPEAT_NS = 250_000_000
 """A client that lost a frame has the next one, or this repeat of the last."""
 
 
+_MOST = 3.4e38  # of float32
+
+
 def message(address: str, *arguments: str | int | float) -> bytes:
     """Return an OSC message: int32, float32 and text."""
     tags, body = ",", b""
@@ -29,7 +32,7 @@ def message(address: str, *arguments: str | int | float) -> bytes:
         elif isinstance(argument, int):
             tags, body = tags + "i", body + struct.pack(">i", argument)
         else:
-            tags, body = tags + "f", body + struct.pack(">f", argument)
+            tags, body = tags + "f", body + struct.pack(">f", min(max(argument, -_MOST), _MOST))
     return _text(address) + _text(tags) + body
 
 

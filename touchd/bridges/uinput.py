@@ -180,16 +180,19 @@ class Finger(Struct, gc=False):
     """Long and short axis, and the angle of the long one from the y axis, clockwise, -90 to 90 degrees."""
 
 
+def _within(value: float, most: int) -> int:
+    return round(min(max(value, 1.0), most))
+
+
 def fingers_at(places: Mapping[int, Place]) -> dict[int, Finger]:
     """Return the fingers in the device's units."""
     fingers = {}
     for number, place in places.items():
         contact, size = place.contact, UNKNOWN_SIZE
         if contact.major_mm and contact.minor_mm:
-            major, minor = round(contact.major_mm * PER_MM), round(contact.minor_mm * PER_MM)
             turned = round(place.angle_deg % 180.0 - 90.0)
-            size = min(max(major, 1), SIZE_MAX), min(max(minor, 1), SIZE_MAX), turned
-        pressure = min(max(round(contact.force * PRESSURE_MAX), 1), PRESSURE_MAX)
+            size = _within(contact.major_mm * PER_MM, SIZE_MAX), _within(contact.minor_mm * PER_MM, SIZE_MAX), turned
+        pressure = _within(contact.force * PRESSURE_MAX, PRESSURE_MAX)
         fingers[number] = Finger(round(place.x_mm * PER_MM), round(place.y_mm * PER_MM), pressure, size)
     return fingers
 

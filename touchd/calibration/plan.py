@@ -76,9 +76,14 @@ class Way(NamedTuple):
 
 
 def bound_mm(u: Complex, by_x: Complex, by_y: Complex, variance: float) -> Floats:
-    """Return the RMS distance, mm, of touches with the field `u` (n, m) and its slopes in noise of this variance."""
-    spread = np.linalg.inv(linearise(u, u, by_x, by_y).fisher_information[:, 0])
-    return np.asarray(np.sqrt(variance * np.trace(spread, axis1=1, axis2=2)))
+    """Return the RMS distance, mm, of touches with the field `u` (n, m) and its slopes in noise of this variance.
+
+    It is infinite where the field does not change along a line, as with all discs on a diagonal.
+    """
+    told = linearise(u, u, by_x, by_y).fisher_information[:, 0]
+    trace, determinant = np.trace(told, axis1=1, axis2=2), np.linalg.det(told)
+    known = determinant > np.finfo(float).eps * trace**2
+    return np.asarray(np.sqrt(variance * np.where(known, trace / np.where(known, determinant, 1.0), np.inf)))
 
 
 class PlateMap:
@@ -161,7 +166,8 @@ class PlateMap:
         u, by_x, by_y = np.concatenate(parts, axis=2)
         white = float(np.square(self._a.window(TAPER)).sum()) / 2
         variance = BASELINE_NOISE * self._noise**2 * float(np.square(heard).mean()) * white
-        error_mm = bound_mm(u, by_x, by_y, variance).reshape(self._shape)
+        # No touch is farther off than the plate is wide.
+        error_mm = np.minimum(bound_mm(u, by_x, by_y, variance), np.hypot(*self._size_mm)).reshape(self._shape)
         return Plan(np.asarray(discs_mm, float), error_mm, self._exact_mm)
 
     def suggest(self, plan: Plan, moves: int = MOVES, progress: Progress = lambda _share: None) -> Plan:

@@ -33,7 +33,7 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 @click.option("--simulate", metavar="SCENE", help="Check the frames of a twin's scene, not of the DAQ.")
 @click.option("--ni", is_flag=True, help="Check the frames of NI hardware, not of the DAQ on USB.")
 @click.option("--audio", metavar="DEVICE", help="Check the frames of an audio interface.")
-@click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="Seed of a simulated scene.", show_default=True)
 @click.option("--seconds", type=NumberRange(0.5), default=3.0, show_default=True, metavar="S",
               help="How many seconds of frames to take.")  # fmt: skip
 @click.option("--reference", type=click.Path(path_type=Path), metavar="PATH",

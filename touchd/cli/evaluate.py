@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -15,7 +16,7 @@ from touchd.cli.options import check_picture, warn_of_other_plate
 from touchd.cli.progress import Bars
 from touchd.config.load import load
 from touchd.config.schema import Settings
-from touchd.errors import RecordingValues
+from touchd.errors import RecordingValues, TrainingError
 from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement, judge, scores
@@ -100,8 +101,9 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str
             from touchd.evaluation.cramer_rao import median_bound_mm  # with scipy's optimisers: half a second
 
             # The bound uses the atlas' own field, since a rig has no other; the twin's true field differs by a few %.
-            found["bound_mm"] = median_bound_mm(truth, model.atlas)
-            found["times_bound"] = found["median_mm"] / found["bound_mm"]
+            with suppress(TrainingError):  # too few untouched frames tell no noise
+                found["bound_mm"] = median_bound_mm(truth, model.atlas)
+                found["times_bound"] = found["median_mm"] / found["bound_mm"]
     return found | {"by_fingers": scores_by_fingers(matches)}
 
 

@@ -32,7 +32,7 @@ _LOOK_S = 0.2
               help="Use the FunctionFS mounted here; do not set up the port.")  # fmt: skip
 @click.option("--replay", type=click.Path(path_type=Path), help="Stream a recording, in a loop.")
 @click.option("--simulate", metavar="SCENE", help="Stream a scene of the digital twin.  [default: demo]")
-@click.option("--seed", default=0, help="Seed of the scene.", show_default=True)
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="Seed of the scene.", show_default=True)
 @click.option("--serial", default="TWIN0001", show_default=True, help="Serial number of the device.")
 @click.option("--commands", is_flag=True,
               help="Read commands from stdin: plug, unplug, corrupt, short, halt, silent, normal.")  # fmt: skip

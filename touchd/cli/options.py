@@ -76,7 +76,7 @@ SOURCE_OPTIONS = (
         help="Speed of a replay; below 1 its touches seem stale, and many programs drop them.  [default: 1]",
     ),
     click.option("--loop", is_flag=True, help="Repeat a recording or scene."),
-    click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True),
+    click.option("--seed", default=0, type=click.IntRange(min=0), help="Seed of a simulated scene.", show_default=True),
 )
 
 

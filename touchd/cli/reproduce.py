@@ -16,7 +16,8 @@ from touchd.errors import RecordingValues
     help="Report to write (Markdown); plots and tables go to a folder of the same name.",
 )  # fmt: skip
 @click.option("--layout", type=click.Path(path_type=Path), help="Keys of the keypad (TOML).  [default: 3 x 4]")
-@click.option("--seed", default=0, show_default=True, help="Seed of the splits and of all trainings.")
+@click.option("--seed", default=0, type=click.IntRange(min=0), show_default=True,
+              help="Seed of the splits and of all trainings.")  # fmt: skip
 @click.option("--models", type=click.Path(path_type=Path), help="Folder of the models to score.  [default: shipped]")
 @click.option("--touches", type=click.IntRange(min=200), default=6404, show_default=True, help="Touches to simulate.")
 @click.option("--epochs", type=click.IntRange(min=1), help="Epochs of every training.  [default: the recipes']")

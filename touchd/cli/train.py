@@ -30,7 +30,8 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
     "--network", type=click.Path(path_type=Path),
     help="Recipe atlas: use this network, trained on RECORDING.",
 )  # fmt: skip
-@click.option("--seed", default=0, show_default=True, help="Seed of the split, the weights and the augmentation.")
+@click.option("--seed", default=0, type=click.IntRange(min=0), show_default=True,
+              help="Seed of the split, the weights and the augmentation.")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
 @click.option(
     "--patience", type=click.IntRange(min=1),

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.optimize import brentq
 
+from touchd.errors import TrainingError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels, noise_of, residual_of
 from touchd.frame import HANN, Acquisition
 from touchd.localization.atlas import Atlas
@@ -194,9 +195,12 @@ def residual_noise(recording: Recording) -> float:
     Raises
     ------
     TrainingError
-        The recording lacks labels, touches or untouched frames.
+        The recording lacks labels, touches or untouched frames, or has no noise: one untouched frame tells none.
     """
-    return sqrt(1 + 1 / 2) * noise_of(recording.frames[labels(recording, least=1)[2]])
+    noise = noise_of(recording.frames[labels(recording, least=1)[2]])
+    if not noise > 0:
+        raise TrainingError("the untouched frames have no noise", "frames", "record more of them")
+    return sqrt(1 + 1 / 2) * noise
 
 
 def median_bound_mm(recording: Recording, field: Atlas | Instrument) -> float:

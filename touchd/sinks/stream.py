@@ -16,6 +16,7 @@ from touchd.event import DECODERS, TOPICS, VERSION, Event, HealthEvent, KeyEvent
 
 _LONGEST_BYTES = 1 << 20
 """A spectrum has some ten thousand."""
+_MOST = 1 << 63
 _KNOWN = {topic.encode(): (topic, DECODERS[topic].decode) for topic in TOPICS}
 _SHARED_NS = 1_000_000_000
 """The clocks of one computer agree this well about the time between its start and now."""
@@ -44,9 +45,9 @@ def decode_message(parts: list[bytes], address: str) -> Event | None:
         problem = _problem(error)
         version = _version(parts[1])
     else:
-        if event.v == VERSION:
+        if event.v == VERSION and -_MOST < event.t_ns < _MOST and -_MOST < event.seq < _MOST:
             return event
-        problem, version = "", event.v
+        problem, version = "t_ns or seq: not as agreed", event.v
     if isinstance(version, int) and version != VERSION:
         raise BusError(
             f"a {topic} message of version {version}, and this program knows {VERSION}", address, "upgrade touchd here"

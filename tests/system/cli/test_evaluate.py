@@ -64,6 +64,14 @@ def folder(instrument: Instrument, tmp_path_factory: pytest.TempPathFactory) -> 
     return folder
 
 
+def test_one_untouched_frame(instrument: Instrument, tmp_path: Path) -> None:
+    """It tells no noise, so that there is no bound; its touch is scored nevertheless."""
+    write(tmp_path / "one.npz", simulate_touches(1, seed=33, instrument=instrument))
+    found = scores(SHIPPED, tmp_path / "one.npz")
+    assert found["n"] == 1
+    assert "bound_mm" not in found
+
+
 def test_one_finger(folder: Path) -> None:
     """Touches of one finger have their scores at the top."""
     found = scores(SHIPPED, folder / "one.npz")

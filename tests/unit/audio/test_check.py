@@ -119,8 +119,11 @@ def test_clipping_lowers_the_level() -> None:
     assert found.level_dbfs == -3.0
 
 
-def test_without_a_cable_it_says_so() -> None:
+@pytest.mark.parametrize("noise", [1e-4, 0.0])
+def test_without_a_cable_it_says_so(noise: float) -> None:
+    """Of a muted card, too, which has not even noise."""
     card = CableCard()
+    card.noise = noise
     card.gains[:] = 0
     with pytest.raises(Doubtful, match="with a cable"):
         check(card, restarts=1, seconds=0.05, level_dbfs=-12.0)

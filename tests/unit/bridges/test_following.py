@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.bridges.events import MS, contact, health, touch
-from touchd.bridges.bridge import SILENCE_NS, Following
-from touchd.event import State
+from touchd.bridges import bridge
+from touchd.bridges.bridge import SILENCE_NS, Down, Following
+from touchd.event import Event, KeyEvent, Phase, State
 
 
 def ids(following: Following) -> list[int]:
@@ -128,6 +129,62 @@ def test_any_course_of_events(steps: list[list[tuple[int, str]] | str]) -> None:
         assert new.isdisjoint(used)
         used |= new
         assert 0.0 <= following.patience_s(now_ns, 0.25) <= 0.25
+
+
+class _Ended(Exception):
+    """The events of a test have ended."""
+
+
+class _Events:
+    """A subscription whose events the test has made."""
+
+    def __init__(self, events: list[Event]) -> None:
+        self._events = iter(events)
+
+    def __enter__(self) -> _Events:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def receive(self, _timeout_s: float) -> Event:
+        for event in self._events:
+            return event
+        raise _Ended
+
+
+class _Keys:
+    """An output that keeps what is pressed."""
+
+    topics = ("touch", "key")
+
+    def __init__(self) -> None:
+        self.phases: list[str] = []
+
+    def show(self, down: Down, t_ns: int) -> None:
+        pass
+
+    def press(self, event: KeyEvent) -> None:
+        self.phases.append(event.phase)
+
+    def idle(self, now_ns: int) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("first", "phases"), [("down", ["press", "release"]), ("hold", ["release"])])
+def test_keys(monkeypatch: pytest.MonkeyPatch, first: Phase, phases: list[str]) -> None:
+    """A press counts if its finger does: a finger that has been there all along presses nothing, for nobody may ever
+    release it; a release always counts."""
+    keys = [KeyEvent("touchd", 1, 0, "", "5", phase, 0.9) for phase in ("press", "release")]
+    events: list[Event] = [touch(contact(1, first)), *keys]
+    monkeypatch.setattr(bridge, "Subscriber", lambda _address, _topics: _Events(events))
+    output = _Keys()
+    with pytest.raises(_Ended):
+        bridge.run(None, output, lambda _now_ns: True)
+    assert output.phases == phases
 
 
 def test_numbers_last() -> None:

@@ -79,8 +79,10 @@ def test_units() -> None:
     assert fingers_at({1: place})[1] == Finger(1234, 5678, 500)
     down.force = 0.0
     assert fingers_at({1: place})[1].pressure == 1
-    down.force = 7.0
-    assert fingers_at({1: place})[1].pressure == uinput.PRESSURE_MAX
+    for force in (7.0, 1e307):
+        down.force = down.major_mm = down.minor_mm = force
+        assert fingers_at({1: place})[1].pressure == uinput.PRESSURE_MAX
+    assert fingers_at({1: place})[1].size[:2] == (uinput.SIZE_MAX, uinput.SIZE_MAX)
 
 
 def test_size() -> None:

@@ -52,6 +52,13 @@ def test_a_frame() -> None:
 SIZED = replace(contact(1), major_mm=12.0, minor_mm=8.0)
 
 
+def test_numbers_without_bounds() -> None:
+    """What no float32 holds is the largest that it holds."""
+    one = frames()
+    (packet,) = one.frame({1: place(100, 25, 1e300, -1e300)}, 0)
+    assert all(math.isfinite(number) for number in decoded(packet)[2][1][2:])
+
+
 def test_blobs() -> None:
     """A contact with a size is a blob too, with its axes in shares and the angle of the long one."""
     sized = Place(100, 50, 0.0, 0.0, -45.0, SIZED)

@@ -51,6 +51,13 @@ def test_bound(said: PlateFile, plate_map: PlateMap) -> None:
     assert np.median(found) == pytest.approx(np.median(true), rel=0.15)
 
 
+def test_discs_on_a_line(plate_map: PlateMap) -> None:
+    """Discs in the middle of the plate's height cannot tell above from below there: nothing is infinite, nor fails."""
+    found = plate_map.plan(np.array([(20.0, 45.0), (98.0, 45.0)]))
+    assert np.isfinite(found.quantiles_mm).all()
+    assert found.quantiles_mm[2] > 10
+
+
 def test_suggestion(said: PlateFile, plate_map: PlateMap) -> None:
     """A suggested layout is no worse than the given one, on the plate, and has no mirrored discs."""
     given = plate_map.plan(said.layout().centres_mm)

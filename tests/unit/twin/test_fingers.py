@@ -126,6 +126,13 @@ def test_what_cannot_be_laid_is_refused_with_what_to_do(asked: TouchSet, where: 
     assert caught.value.fix
 
 
+@pytest.mark.parametrize("rate_hz", [1e-4, 1e7, float("nan"), -1.0])
+def test_rates(rate_hz: float) -> None:
+    """A rate is refused of which a scene of 200 frames would last for days, or no device has."""
+    with pytest.raises(SimulationError, match="frames a second"):
+        stage_scene("tap", DEFAULT_PLATE, frames=200, rate_hz=rate_hz)
+
+
 def test_as_many_fingers_as_just_fit_are_laid() -> None:
     place, _ = centres_and_radii(written(TouchSet(50, fingers=5, apart_mm=70.0)))
     assert distances(place).min() >= 70.0

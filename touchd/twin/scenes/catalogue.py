@@ -18,6 +18,8 @@ from touchd.twin.scenes import fingers
 from touchd.twin.scenes.fingers import END_S, IDLE_S, KEY_S, Cast, Key
 from touchd.twin.scenes.timeline import Stage
 
+LEAST_HZ, MOST_HZ = 0.1, 1e6
+
 
 class Scene(NamedTuple):
     """A named scene."""
@@ -57,8 +59,8 @@ def stage_scene(
         raise SimulationError(f"no scene {name!r}", "scene", f"use one of {', '.join(SCENES)}")
     tissue_of(finger or scene.finger)
     rate = scene.rate_hz if rate_hz is None else rate_hz
-    if not (math.isfinite(rate) and rate > 0):
-        raise SimulationError(f"{rate:g} frames a second", "rate_hz", "use a positive number")
+    if not LEAST_HZ <= rate <= MOST_HZ:
+        raise SimulationError(f"{rate:g} frames a second", "rate_hz", f"use {LEAST_HZ:g} to {MOST_HZ:g}")
     cast = Cast(finger or scene.finger, keys or default_keys(plate), "2580#" if code is None else code)
     seconds = IDLE_S + KEY_S * len(cast.code) + END_S if name == "keypad" else scene.seconds
     n = round(seconds * rate) if frames is None else frames
