@@ -11,10 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.calibration.calibrate import Fitted, make_model
+from touchd.calibration.parameters import DISCS, PLATE, Reader
 from touchd.calibration.physical_atlas import TIP, PhysicalField
 from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.calibration.plate_fit import PlateFit, fit_plate
 from touchd.calibration.untouched import Untouched, untouched_mean
+from touchd.calibration.untouched_model import UntouchedModel
 from touchd.errors import CalibrationError
 from touchd.evaluation.cramer_rao import twin_values
 from touchd.evaluation.single_frames import find_with, see, touched_frames
@@ -174,10 +176,17 @@ def test_standard_errors(fit: PlateFit) -> None:
 
 
 def test_an_inverted_disc(fit: PlateFit) -> None:
-    """A disc upside down changes a gain and nothing else."""
-    other = fit_plate(said(), heard(gains=GAINS * [1, -1, 1, 1]))
-    np.testing.assert_allclose(other.layout.centres_mm, fit.layout.centres_mm, atol=1e-3)
-    assert other.verdict == fit.verdict
+    """A disc upside down changes the sign of a gain, and no step of the fit."""
+    plain, signs = heard(), np.array([1.0, -1.0, 1.0, 1.0])
+    found = []
+    for untouched in (plain, plain._replace(mean=plain.mean * signs[:, None])):
+        reader = Reader(said(), untouched.acquisition)
+        model = UntouchedModel(fit.basis, reader, untouched)
+        found.append(model.fit(reader.start, np.ones(plain.mean.shape[1]), (*PLATE, *DISCS, *reader.places)))
+    one, other = found
+    np.testing.assert_allclose(other.gains, one.gains * signs[:, None], rtol=1e-9)
+    np.testing.assert_allclose(other.residual, one.residual * signs[:, None], rtol=1e-9, atol=1e-9 * SCALE)
+    np.testing.assert_allclose(other.slopes, one.slopes * signs[:, None], rtol=1e-9, atol=1e-9 * SCALE)
 
 
 def test_a_dead_channel() -> None:

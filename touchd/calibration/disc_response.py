@@ -217,9 +217,10 @@ class DiscResponse:
                 continue
             total = np.zeros((D - 1, len(self._nu)), dtype=complex)
             slopes, parts = self._plate.slopes(self._shape, name), self._plate.to_classes(x.swapaxes(0, 1))
-            for (K, M), turn, own in zip(slopes, self._bare.turns, parts, strict=True):
-                if not (K.any() or M.any()):  # stiffness in the plane bends nothing
+            for slope, turn, own in zip(slopes, self._bare.turns, parts, strict=True):
+                if slope is None:
                     continue
+                K, M = slope
                 y = stiff * _product(turn.T @ K @ turn, own[:, 0])
                 if M.any():
                     y -= self._nu**2 * _product(turn.T @ M @ turn, own[:, 0])

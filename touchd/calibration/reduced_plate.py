@@ -171,15 +171,18 @@ class ReducedPlate:
             w[:, along_x, along_y] = values.reshape(w[:, along_x, along_y].shape)
         return LoadedModes(omega, w, V @ vectors[:, : len(layout.centres_mm)])
 
-    def slopes(self, shape: Shape, name: str) -> list[tuple[Floats, Floats]]:
-        """Return, for each class, the derivatives (n, n) of stiffness and mass."""
+    def slopes(self, shape: Shape, name: str) -> list[tuple[Floats, Floats] | None]:
+        """Return, for each class, the derivatives (n, n) of stiffness and mass; None where there are none."""
         step = 1e-4 * getattr(shape, name)
         ends = [_factors(shape._replace(**{name: getattr(shape, name) + sign * step})) for sign in (1, -1)]
         stiff, heavy = (
             {number: (above[number] - below[number]) / (2 * step) for number in above}
             for above, below in zip(*ends, strict=True)
         )
-        return [each.sums((stiff, heavy)) for each in self.classes]
+        return [
+            each.sums((stiff, heavy)) if stiff[len(each.stiff)].any() or heavy[len(each.heavy)].any() else None
+            for each in self.classes
+        ]
 
     def turned(self, values: Floats, bare: BareModes) -> Floats:
         """Turn values in the reference's modes (n, k) into another plate's, class by class."""
