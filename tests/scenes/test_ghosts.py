@@ -97,15 +97,15 @@ def test_a_palm_of_six_soft_patches_once_known_brings_no_contact() -> None:
 
 
 def test_a_finger_beside_a_hand_that_rests_is_found() -> None:
-    """Each of four taps, to a millimetre; the hand leaves more of a frame than they change. None ends as the hand's."""
-    stage = empty_stage(6.0, seed=2230000)
-    rest(stage, 1.5, 5.5, (65.0, 100.0))
-    places_mm = [(160.0, 60.0), (150.0, 140.0), (170.0, 100.0), (140.0, 30.0)]
-    for at_s, place_mm in zip((2.5, 3.2, 3.9, 4.6), places_mm, strict=True):
+    """Each of two taps, to a millimetre; the hand leaves more of a frame than they change. None ends as the hand's."""
+    stage = empty_stage(4.6, seed=2230000)
+    rest(stage, 1.5, 4.1, (65.0, 100.0))
+    places_mm = [(160.0, 60.0), (150.0, 140.0)]
+    for at_s, place_mm in zip((2.5, 3.2), places_mm, strict=True):
         stage.lay("fingertip", at_s, at_s + 0.3, still(*place_mm), force_n=0.5)
     contacts = [
         contact for event in play(stage, Interpolated(DEFAULT_PLATE), 2230000).touches
-        if 2.4 * RATE_HZ < event.frame < 5.2 * RATE_HZ for contact in event.contacts
+        if 2.4 * RATE_HZ < event.frame < 3.8 * RATE_HZ for contact in event.contacts
     ]  # fmt: skip
     downs = [(contact.x_mm, contact.y_mm) for contact in contacts if contact.phase == "down"]
     assert len(downs) == len(places_mm)
