@@ -211,7 +211,7 @@ def keys_of(mapping: Mapping) -> dict[str, str]:
 
 def _fit_rotated(touches: Sequence[Touched], rotate: int) -> Mapping | None:
     """Return the best rectangle for a rotation, or None if `[input]` would refuse it, as not that of a screen."""
-    from touchd.config.schema import InputSettings
+    from touchd.config.schema import InputSettings  # late: a bridge at work does without pydantic
 
     shares = [_on_plate(touch.across, touch.along, rotate) for touch in touches]
     left = _line([p for p, _ in shares], [touch.x_mm for touch in touches])

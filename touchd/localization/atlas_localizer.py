@@ -162,7 +162,6 @@ class AtlasLocalizer:
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
         palm = self._classifier.palm
         touches = self._beside.add(detection, self._touches, palm.area, self._touch_maker, limits)
-        palm.beside_mm = self._beside.place_mm
         return Localization(outcome, touches, self._departure, self._plate_moved, palm.covers)
 
     def _place(
@@ -267,7 +266,9 @@ class AtlasLocalizer:
         if new := self._follower.update(bins, fit, excess):
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
         doubt = self._follower.is_in_doubt(t_ns)
-        fingers = self._classifier.fingers(bins, fit, excess, t_ns, alone=alone, lacking=self._search.explains)
+        fingers = self._classifier.fingers(
+            bins, fit, excess, t_ns, alone=alone, lacking=self._search.explains, beside_mm=self._beside.place_mm
+        )
         if self._settings.skip.still:  # not what may be water that a finger has left: each frame must tell
             moved_mm = self._prediction.moved_mm if self._classifier.sure and not doubt else math.inf
             self._still.update(bins, fit, moved_mm, self._noise.variance)

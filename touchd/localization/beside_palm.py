@@ -92,7 +92,7 @@ class BesidePalm:
 
     @property
     def place_mm(self) -> Position | None:
-        """Where the finger is."""
+        """Where the finger is that is followed."""
         return self._finger.fit.positions_mm[0] if self._finger else None
 
     def add(

@@ -102,12 +102,14 @@ class Classifier:
         self._known = []
 
     def fingers(
-        self, bins: Bins, fit: Fit, excess: float, t_ns: int, *, alone: bool = False, lacking: bool = False
-    ) -> list[Finger]:
+        self, bins: Bins, fit: Fit, excess: float, t_ns: int, *, alone: bool = False, lacking: bool = False,
+        beside_mm: Position | None = None,
+    ) -> list[Finger]:  # fmt: skip
         """Return the fingers among the contacts of a frame's fit, with their standard errors.
 
         The fit leaves the share `excess` of the signal. `alone` says that no further frame will be judged, `lacking`
-        that the fit lacks a finger: that turns the others' phases, and they stay what they are.
+        that the fit lacks a finger: that turns the others' phases, and they stay what they are. At `beside_mm` a finger
+        was followed beside a palm.
         """
         if self._known:
             self._known = [one for one in self._known if one.until_ns >= t_ns]
@@ -118,7 +120,7 @@ class Classifier:
         variance = self._errors.variance(fit, sizes)
         errors_mm = self._errors.sigmas_mm(fit, variance)
         self.sure, self.likelihood = True, 1.0
-        of_palm = self.palm.contacts(fit, excess, bins.energy - noise_energy, t_ns)
+        of_palm = self.palm.contacts(fit, excess, bins.energy - noise_energy, t_ns, beside_mm)
         doubtful = of_palm | self._cornered(fit.positions_mm) | self._edged(fit) if several else of_palm
         fingers: list[Finger] = []
         for k, lead in enumerate(leads):

@@ -70,15 +70,15 @@ class Palm:
         self._since_ns: int | None = None  # of what may be a hand, ...
         self._alike = False  # ... and whether it has looked like one
         self._signal, self._missed = 0.0, False  # missed: nothing of the last frame was placed
-        self.beside_mm: Position | None = None
-        """Where a finger is beside it."""
         self._heavy_mm = 0.0, 0.0  # middle by energy, of the last contacts
         self._places: list[tuple[int, float, float]] = []  # where contacts were seen, and when
 
-    def contacts(self, fit: Fit, excess: float, signal: float, t_ns: int) -> set[int]:
+    def contacts(
+        self, fit: Fit, excess: float, signal: float, t_ns: int, beside_mm: Position | None = None
+    ) -> set[int]:
         """Return the indices of a fit's contacts that are a palm's, or water that lies within its reach.
 
-        The fit leaves the share `excess` of the signal, whose energy is `signal`.
+        The fit leaves the share `excess` of the signal, whose energy is `signal`. A finger was followed at `beside_mm`.
         """
         if self.area is None and excess <= UNLIKE and len(fit.shapes) < CONTACTS:  # the usual case
             self._since_ns, self._signal, self.covers = None, signal, None
@@ -89,7 +89,7 @@ class Palm:
         if self.area is not None and t_ns > self._until_ns:
             self.reset()
         if self._missed and excess <= UNLIKE and self.area is not None:
-            self._be_where(fit)
+            self._be_where(fit, beside_mm)
         self._missed = False
         self._cover(signal, doubtful=self._since_ns is not None)
         if self.area is None:
@@ -148,11 +148,9 @@ class Palm:
             self._places = [place for place in self._places if math.dist(place[1:], now) > SAME_MM]
             self._places.append((t_ns, *now))
 
-    def _be_where(self, fit: Fit) -> None:
+    def _be_where(self, fit: Fit, beside_mm: Position | None) -> None:
         """Lie where contacts are of which nothing was placed before: a palm does not vanish in a frame."""
-        own = [
-            place for place in fit.positions_mm if self.beside_mm is None or math.dist(place, self.beside_mm) > SAME_MM
-        ]
+        own = [place for place in fit.positions_mm if beside_mm is None or math.dist(place, beside_mm) > SAME_MM]
         if self.area is not None and own and not any(self.area.has(*place) for place in own):
             self._places = [place for place in self._places if place[1:] in own]
             self.area = self._area()

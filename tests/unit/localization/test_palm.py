@@ -146,9 +146,8 @@ def test_it_lay_elsewhere(beside_mm: Position | None, own: set[int]) -> None:
     palm, t_ns = seen(HUGE, 0.0)
     assert t_ns is not None
     t_ns, _ = missed(palm, t_ns, 10 * FRAME_NS)
-    palm.beside_mm = beside_mm
     left = fit_of({FAR: 2.0, (FAR[0], FAR[1] + 0.8 * REACH_MM * (2 if beside_mm else 1)): 2.0}, 3.0)
-    assert palm.contacts(left, WELL, 1.0, t_ns + FRAME_NS) == own
+    assert palm.contacts(left, WELL, 1.0, t_ns + FRAME_NS, beside_mm) == own
 
 
 def test_a_finger_beside_it() -> None:

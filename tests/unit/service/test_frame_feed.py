@@ -49,7 +49,7 @@ def ask(control: Control) -> tuple[socket.socket, list[str]]:
 
 
 def test_frames_arrive(control: Control, feed: FrameFeed) -> None:
-    """Bit for bit, with their numbers and times, after what they are; who reads is told of the daemon's end."""
+    """Bit for bit, with their numbers and times, after what they are; the daemon's end is an error."""
     mine, said = ask(control)
     assert said == ["frames"]
     feed.add(control.listeners.pop())

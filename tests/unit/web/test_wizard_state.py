@@ -32,7 +32,7 @@ def test_where_a_finger_was_found_stays_with_the_wizard() -> None:
 
 @pytest.mark.parametrize("text", ["a\0b", "a\ud800", "é"])
 def test_odd_characters(text: str, tmp_path: Path) -> None:
-    """The wizard's answer reaches the page whatever characters it repeats."""
+    """An answer of the wizard that repeats half of a surrogate pair reaches the page."""
     said = {"ok": False, "problem": f"{text}: is not there", "fix": "check the path"}
 
     async def wizard(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

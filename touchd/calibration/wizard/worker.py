@@ -96,7 +96,7 @@ class Worker:
                 if name in (*ENDING, "try") and self._state["running"] in LONG:
                     raise CalibrationError("a fit or a training runs", "", "wait for its end, or stop it first")
                 found = command(asked)
-        except Exception as error:
+        except Exception as error:  # whoever asks gets an answer: without one the page says that no wizard runs
             return {"ok": False} | _told(error, "the command failed")
         return {"ok": True} | (found or {})
 

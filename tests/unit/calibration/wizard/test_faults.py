@@ -107,7 +107,7 @@ def served(
 
 
 def test_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The wizard ends without a word in the log, whatever connections are open."""
+    """With three connections open the wizard ends, and leaves the log empty."""
     worker, state = made(tmp_path)
     path = tmp_path / "socket"
     with caplog.at_level(logging.WARNING):
@@ -156,7 +156,7 @@ def test_unexpected_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_no_picture(tmp_path: Path) -> None:
-    """A picture whose report was removed is none."""
+    """Of a report that was removed the answer says that there is no such picture."""
     worker, state = made(tmp_path)
     state.set(result=RESULT | {"report": str(tmp_path / "report")})
     assert worker.answer({"do": "picture", "name": "response.png"}) == {"ok": False, "problem": "no such picture"}
