@@ -1,9 +1,10 @@
-"""Write files whole or not at all; read none that would hold a daemon up."""
+"""Write files whole or not at all; read none that would hold a daemon up; make socket files."""
 
 from __future__ import annotations
 
 import errno
 import os
+import socket
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -30,6 +31,12 @@ def open_file(path: Path, flags: int = 0) -> IO[bytes]:
         file.close()
         raise OSError(errno.EINVAL, "not a regular file", str(path))
     return file
+
+
+def runtime_folder() -> Path | None:
+    """Return systemd's runtime folder of this service; None without one."""
+    folder = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    return Path(folder) if folder else None
 
 
 def state_folder(name: str) -> Path:
@@ -120,3 +127,41 @@ def stamps_of(*paths: Path) -> tuple[tuple[int, int, int] | None, ...]:
         except OSError:
             found.append(None)
     return tuple(found)
+
+
+def clear_socket(path: Path, kind: socket.SocketKind) -> None:
+    """Remove the socket file of a process that is gone, and nothing else.
+
+    Raises OSError: with EADDRINUSE if a process listens there, with ENOTSOCK if something else than a socket is there.
+    """
+    try:
+        if not stat.S_ISSOCK(path.lstat().st_mode):
+            raise OSError(errno.ENOTSOCK, os.strerror(errno.ENOTSOCK), str(path))
+        with socket.socket(socket.AF_UNIX, kind | socket.SOCK_NONBLOCK) as probe:
+            probe.connect(str(path))
+    except FileNotFoundError:
+        return
+    except ConnectionRefusedError:
+        path.unlink(missing_ok=True)
+        return
+    except BlockingIOError:  # a live publisher may have a full queue
+        pass
+    raise OSError(errno.EADDRINUSE, os.strerror(errno.EADDRINUSE), str(path))
+
+
+@contextmanager
+def private_socket(path: Path, gid: int | None) -> Iterator[None]:
+    """Bind a socket file within this context: it has mode 0600 from its first moment.
+
+    With a group, the group is set first and mode 0660 last. The umask is that of the whole process: bind before other
+    threads make files. Raises OSError if the file cannot be given to the group.
+    """
+    umask = os.umask(0o177)
+    try:
+        yield
+    finally:
+        os.umask(umask)
+    if gid is not None:
+        if path.stat().st_gid != gid:  # the service's sandbox forbids to ask, and its files have its group
+            os.chown(path, -1, gid)
+        path.chmod(0o660)

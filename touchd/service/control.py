@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import array
 import contextlib
+import errno
 import grp
 import os
 import socket
-import stat
 import struct
 from pathlib import Path
 
 from touchd.config.schema import ControlSettings
 from touchd.errors import AddressInUse, BusError, ConfigError
+from touchd.files import clear_socket, private_socket, runtime_folder
 from touchd.sinks.throttle import Throttle
 
 COMMANDS = ("screen off", "screen on", "reload", "frames")
@@ -34,8 +35,8 @@ def path_of(settings: ControlSettings) -> Path | None:
     """Return the socket of a daemon: `control.socket`, else one in systemd's runtime folder, else None."""
     if settings.socket is not None:
         return settings.socket
-    folder = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
-    return Path(folder) / "control" if folder else None
+    folder = runtime_folder()
+    return folder and folder / "control"
 
 
 def send(path: Path, command: str) -> None:
@@ -67,22 +68,15 @@ class Control:
         _clear(path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
-        umask = os.umask(0o177)
         try:
-            self._socket.bind(str(path))
-            if group:
-                gid = grp.getgrnam(group).gr_gid
-                if path.stat().st_gid != gid:  # the service's sandbox forbids to ask, and its files have its group
-                    os.chown(path, -1, gid)
-                path.chmod(0o660)
+            with private_socket(path, grp.getgrnam(group).gr_gid if group else None):
+                self._socket.bind(str(path))
         except (OSError, KeyError) as error:
             self.close()
             why = f"there is no group {group!r}" if isinstance(error, KeyError) else error.strerror or str(error)
             raise ConfigError(
                 f"cannot be made ({why})", f"control.socket {path}", "correct control.socket or control.group"
             ) from error
-        finally:
-            os.umask(umask)
 
     def poll(self) -> list[str]:
         """Return the commands that have come, in order, without waiting; log and drop what is no command."""
@@ -135,20 +129,14 @@ def _unpack(ancillary: list[tuple[int, int, bytes]]) -> tuple[int, list[socket.s
 def _clear(path: Path) -> None:
     """Remove the socket of a dead daemon, and nothing else."""
     try:
-        if not stat.S_ISSOCK(path.lstat().st_mode):
-            raise ConfigError("there is something else than a socket", f"control.socket {path}", "name another path")
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
-            probe.connect(str(path))
-    except FileNotFoundError:
-        return
-    except ConnectionRefusedError:
-        path.unlink(missing_ok=True)
-        return
+        clear_socket(path, socket.SOCK_DGRAM)
     except OSError as error:
-        raise ConfigError(
-            f"cannot be made ({error.strerror or error})", f"control.socket {path}", "check the path and its owner"
-        ) from error
-    raise AddressInUse(
-        "another process takes commands there", str(path), "stop it (is the daemon running already?), or set another "
-        "control.socket",
-    )  # fmt: skip
+        if error.errno == errno.EADDRINUSE:
+            raise AddressInUse(
+                "another process takes commands there", str(path), "stop it (is the daemon running already?), or set "
+                "another control.socket",
+            ) from error  # fmt: skip
+        what, fix = f"cannot be made ({error.strerror or error})", "check the path and its owner"
+        if error.errno == errno.ENOTSOCK:
+            what, fix = "there is something else than a socket", "name another path"
+        raise ConfigError(what, f"control.socket {path}", fix) from error

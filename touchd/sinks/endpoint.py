@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import grp
 import ipaddress
 import os
 import socket
-import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchd.errors import AddressInUse, BusError, InsecureBind
+from touchd.files import clear_socket, private_socket, runtime_folder
 
 if TYPE_CHECKING:  # subscribers do without its 16 MB
     from touchd.config.schema import BusSettings
@@ -29,8 +30,8 @@ def effective(settings: BusSettings) -> BusSettings:
     """Return the settings with an unset address filled in: the service's file if there is a runtime folder."""
     if settings.bind:
         return settings
-    folder = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
-    if not folder:
+    folder = runtime_folder()
+    if folder is None:
         return settings.model_copy(update={"bind": (LOOPBACK,)})
     group = settings.ipc_group or SERVICE_GROUP
     return settings.model_copy(update={"bind": (f"ipc://{folder}/bus",), "ipc_group": group})
@@ -79,10 +80,7 @@ def refuse_insecure(address: str) -> None:
 
 @contextlib.contextmanager
 def private_file(address: str, group: str) -> Iterator[None]:
-    """Bind an `ipc://` address within this context: it refuses a taken path, and sets mode and group of the new file.
-
-    The file has mode 0600 from its first moment. With a group, the group is set first and mode 0660 last. The umask is
-    that of the whole process: bind before other threads make files.
+    """Bind an `ipc://` address within this context: it refuses a taken path; see `private_socket` for the new file.
 
     Raises AddressInUse if a live publisher holds the path, BusError if it holds anything else, or the group cannot be
     used.
@@ -95,17 +93,9 @@ def private_file(address: str, group: str) -> Iterator[None]:
         raise BusError("a socket file needs a path", address, "write ipc:///run/touchd/bus, for example")
     gid = _group_id(address, group) if group else None
     _refuse_taken(address, path)
-    umask = os.umask(0o177)
     try:
-        yield
-    finally:
-        os.umask(umask)
-    if gid is None:
-        return
-    try:
-        if path.stat().st_gid != gid:  # the service's sandbox forbids to ask, and its files have its group
-            os.chown(path, -1, gid)
-        path.chmod(0o660)
+        with private_socket(path, gid):
+            yield
     except OSError as error:
         raise BusError(
             f"the socket cannot be given to the group {group!r} ({error.strerror})",
@@ -126,34 +116,21 @@ def _group_id(address: str, group: str) -> int:
 def _refuse_taken(address: str, path: Path) -> None:
     """Raise if somebody listens at the path: libzmq would unlink the file without asking."""
     try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
-        return
+        clear_socket(path, socket.SOCK_STREAM)
     except OSError as error:
-        raise BusError(
-            f"the socket's folder cannot be used ({error.strerror})", address, "check the path and its permissions"
-        ) from error
-    if not stat.S_ISSOCK(mode):
-        raise BusError(
-            "there is something else than a socket, and it is not replaced", address, "bind elsewhere, or move it away"
-        )
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.setblocking(False)  # a live publisher may have a full queue
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            return  # a process that is gone left it behind
-        except FileNotFoundError:
-            return
-        except PermissionError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise AddressInUse(
+                "another process publishes there", address, "stop it (is the daemon running already?), or set another "
+                "bus.bind",
+            ) from error  # fmt: skip
+        if error.errno == errno.EACCES and os.path.lexists(path):
             raise AddressInUse(
                 "a socket of another user lies there", address, "stop its owner and remove it, or bind elsewhere"
             ) from error
-        except OSError as error:
-            if not isinstance(error, BlockingIOError):
-                raise BusError(
-                    f"the socket cannot be used ({error.strerror or error})", address, "take a shorter path"
-                ) from error
-    raise AddressInUse(
-        "another process publishes there", address, "stop it (is the daemon running already?), or set another bus.bind"
-    )
+        what, fix = f"the socket cannot be used ({error.strerror or error})", "check the path and its permissions"
+        if error.errno == errno.ENOTSOCK:
+            what, fix = (
+                "there is something else than a socket, and it is not replaced",
+                "bind elsewhere, or move it away",
+            )
+        raise BusError(what, address, fix) from error

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import errno
 import json
 import os
 import signal
@@ -24,6 +25,7 @@ from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_cros
 from touchd.calibration.wizard.models import Trial, fit, train
 from touchd.calibration.wizard.state import State, collect, compare, tell, undo
 from touchd.errors import AddressInUse, BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
+from touchd.files import clear_socket, private_socket
 from touchd.service.systemd import Notifier
 
 PICTURES = ("response.png", "residual.png", "expected-error.png")
@@ -257,21 +259,18 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
                 writer.write(json.dumps(answer).encode() + b"\n")
                 await writer.drain()
 
-    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as probe:
-        probe.connect(str(path))
-        raise AddressInUse("another wizard listens there", str(path), "stop it, or name another place with --socket")
-    umask = os.umask(0o177)
     try:
-        if path.exists() and not path.is_socket():
-            raise OutputError("there is something else than a socket", str(path), "name another place with --socket")
-        path.unlink(missing_ok=True)
-        server = await asyncio.start_unix_server(converse, path, limit=MOST_BYTES)
+        clear_socket(path, socket.SOCK_STREAM)
+        with private_socket(path, None):
+            server = await asyncio.start_unix_server(converse, path, limit=MOST_BYTES)
     except OSError as error:
-        raise OutputError(
-            f"no socket can be made there ({error.strerror or error})", str(path), "name another place with --socket"
-        ) from error
-    finally:
-        os.umask(umask)
+        fix = "name another place with --socket"
+        if error.errno == errno.EADDRINUSE:
+            raise AddressInUse("another wizard listens there", str(path), f"stop it, or {fix}") from error
+        what = f"no socket can be made there ({error.strerror or error})"
+        if error.errno == errno.ENOTSOCK:
+            what = "there is something else than a socket"
+        raise OutputError(what, str(path), fix) from error
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
