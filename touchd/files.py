@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import socket
 import stat
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
-from touchd.errors import ConfigError, OutputError
+from touchd.errors import ConfigError, OutputError, TouchdError
 
 CHECK = "check folder, space and permissions"
 _PREFIX_BYTES = 100
 MOST_TEXT_BYTES = 1 << 20
 """No file of settings, keys or measures is as long."""
+_TOML_ERROR = re.compile(r"(?P<what>.*) \(at (?P<place>line \d+, column \d+|end of document)\)", re.DOTALL)
 
 
 def open_file(path: Path, flags: int = 0) -> IO[bytes]:
@@ -63,6 +66,24 @@ def read_text(path: Path) -> str:
     if len(content) > MOST_TEXT_BYTES:
         raise OSError(errno.EFBIG, "more than 1 MiB", str(path))
     return content.decode("utf-8-sig")
+
+
+def read_toml(
+    path: Path, refused: type[TouchdError], fix: str = "check the path and its permissions"
+) -> dict[str, Any]:
+    """Return the tables of a TOML file; raise `refused` if it cannot be read, or say at what place it is none."""
+    try:
+        return tomllib.loads(read_text(path))
+    except OSError as error:
+        raise refused(f"cannot be read ({error.strerror})", str(path), fix) from error
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        raise refused("is not UTF-8", f"{path}: line {line}", "save the file as UTF-8") from error
+    except (ValueError, RecursionError) as error:
+        found = _TOML_ERROR.fullmatch(str(error))
+        what = found["what"] if found else str(error)
+        place = f"{path}: {found['place']}" if found else str(path)
+        raise refused(f"is not valid TOML: {what[:1].lower()}{what[1:]}", place, "correct this line") from error
 
 
 @contextmanager

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from itertools import combinations
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import ConfigError
-from touchd.files import read_text
+from touchd.files import read_toml
 from touchd.frame import Plate
 
 PHONE = Path(__file__).resolve().parent / "keypads" / "phone.toml"
@@ -79,15 +78,11 @@ def load_layout(path: Path, plate: Plate | None = None) -> Layout:
     lie on the plate if one is given.
     """
     try:
-        layout = Layout.model_validate(tomllib.loads(read_text(path)))
-    except OSError as error:
-        raise ConfigError(f"cannot be read ({error.strerror})", str(path), "check keypad.layout") from error
+        layout = Layout.model_validate(read_toml(path, ConfigError, "check keypad.layout"))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{key}: {first['msg']}", str(path), f"compare with {PHONE.name}") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"not TOML ({error})", str(path), "correct the file at the place named") from error
     for first_key, second in combinations(layout.key, 2):
         if first_key.name == second.name:
             raise ConfigError(f"two keys are named {second.name!r}", str(path), "give each key its own name")

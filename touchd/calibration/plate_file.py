@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -10,7 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import PlateFileInvalid
-from touchd.files import read_text
+from touchd.files import read_toml
 from touchd.frame import Plate
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.transducer import Layout
@@ -120,13 +119,7 @@ def read_plate_file(path: Path) -> PlateFile:
     Raises PlateFileInvalid if the file is missing or no TOML, a key is unknown, missing or out of range, the material
     is unknown, lengths are not in millimetres, or a disc reaches over the edge.
     """
-    try:
-        content = tomllib.loads(read_text(path))
-    except OSError as error:
-        raise PlateFileInvalid(f"cannot be read ({error.strerror})", str(path), "check the path") from error
-    except (ValueError, RecursionError) as error:
-        raise PlateFileInvalid(f"is not valid TOML ({error})", str(path), "correct this line") from error
-    return check_plate_file(content, str(path))
+    return check_plate_file(read_toml(path, PlateFileInvalid), str(path))
 
 
 def check_plate_file(content: dict[str, Any], where: str = "PLATE.toml") -> PlateFile:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import difflib
 import json
 import os
-import re
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +16,7 @@ from pydantic_settings import BaseSettings, EnvSettingsSource, InitSettingsSourc
 from touchd.config.render import expected, expected_item, fields, is_secret, section, toml_value, variable
 from touchd.config.schema import RETIRED, Settings
 from touchd.errors import ConfigError
-from touchd.files import read_text
+from touchd.files import read_toml
 
 DEFAULT_PATH = Path("/etc/touchd/touchd.toml")
 """Read if it exists and no other file is named."""
@@ -26,7 +24,6 @@ NOT_SETTINGS = frozenset({"TOUCHD_DEBUG"})
 """Environment variables with touchd's prefix that set no key."""
 _PREFIX = "TOUCHD_"
 _REMOVE = "remove it; `touchd config --default` prints every key"
-_TOML_ERROR = re.compile(r"(?P<what>.*) \(at (?P<place>line \d+, column \d+|end of document)\)", re.DOTALL)
 _Loc = tuple[int | str, ...]
 """Pydantic's location of a value: table, key, index in a list."""
 
@@ -153,26 +150,15 @@ def _environment(problems: list[ConfigError]) -> dict[str, Any]:
 
 
 def _file(path: Path | None) -> dict[str, Any]:
-    where = path or DEFAULT_PATH
     try:
         # Not by TomlConfigSettingsSource: it ignores a missing file, a folder and a pipe.
-        return tomllib.loads(read_text(where))
-    except FileNotFoundError as error:
+        return read_toml(path or DEFAULT_PATH, ConfigError)
+    except ConfigError as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
         if path is None:
             return {}
         raise ConfigError("no such file", str(path), "check the path") from error
-    except OSError as error:
-        raise ConfigError(
-            f"cannot be read ({error.strerror})", str(where), "check the path and its permissions"
-        ) from error
-    except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        raise ConfigError("is not UTF-8", f"{where}: line {line}", "save the file as UTF-8") from error
-    except (ValueError, RecursionError) as error:
-        found = _TOML_ERROR.fullmatch(str(error))
-        what = found["what"] if found else str(error)
-        place = f"{where}: {found['place']}" if found else str(where)
-        raise ConfigError(f"is not valid TOML: {what[:1].lower()}{what[1:]}", place, "correct this line") from error
 
 
 def _drop_retired(layers: list[_Layer]) -> Iterator[Retired]:

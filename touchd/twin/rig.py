@@ -5,7 +5,6 @@ All of it is off by default. Sizes and sources stand in `mounting`, `instrument`
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from touchd.errors import SimulationError
+from touchd.files import read_toml
 from touchd.frame import Plate
 from touchd.twin.electronics import Dead, Electronics, Impulses, Tone
 from touchd.twin.instrument import Instrument
@@ -49,9 +49,7 @@ def load_rig(path: Path) -> Rig:
     Raises SimulationError if the file cannot be read, is not TOML, or has a key or value that no rig has.
     """
     try:
-        return Rig.model_validate(tomllib.loads(path.read_text("utf-8")))
-    except OSError as error:
-        raise SimulationError(f"cannot be read ({error.strerror})", str(path), "check the name") from error
+        return Rig.model_validate(read_toml(path, SimulationError))
     except ValidationError as error:
         # A key misspelt is missing, too.
         first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
@@ -62,5 +60,3 @@ def load_rig(path: Path) -> Rig:
             what, fix = "unknown key", f"use {', '.join(keys)}"
         key = ".".join(map(str, first["loc"]))
         raise SimulationError(f"{key}: {what}", str(path), fix) from error
-    except (ValueError, RecursionError) as error:
-        raise SimulationError(f"not TOML ({error})", str(path), "correct the file at the place named") from error

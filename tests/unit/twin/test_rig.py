@@ -61,7 +61,7 @@ def test_file(tmp_path: Path) -> None:
         ("[[mounting.attachments]]\nsupport = { loos = 1 }", "loos: unknown key -> use stiffness_n_m3"),
         ("[mounting]\nleft = 'glue'", "mounting.left"),
         ("[plate]\nloss = 1", "plate: unknown key -> use mounting, tilts, electronics"),
-        ("tilts = ", "not TOML"),
+        ("tilts = ", "not valid TOML"),
     ],
 )
 def test_mistakes(tmp_path: Path, text: str, what: str) -> None:
