@@ -211,22 +211,23 @@ def keys_of(mapping: Mapping) -> dict[str, str]:
 
 def _fit_rotated(touches: Sequence[Touched], rotate: int) -> Mapping | None:
     """Return the best rectangle for a rotation, or None if `[input]` would refuse it, as not that of a screen."""
-    from touchd.config.schema import InputSettings  # late: a bridge at work does without pydantic
+    # Late: a bridge at work does without.
+    from statistics import linear_regression
+
+    from touchd.config.schema import InputSettings
 
     shares = [_on_plate(touch.across, touch.along, rotate) for touch in touches]
-    left = _line([p for p, _ in shares], [touch.x_mm for touch in touches])
-    top = _line([q for _, q in shares], [touch.y_mm for touch in touches])
-    if left is None or top is None:
-        return None
-    missed = tuple(
-        math.hypot(left[0] + left[1] * p - touch.x_mm, top[0] + top[1] * q - touch.y_mm)
-        for (p, q), touch in zip(shares, touches, strict=True)
-    )
-    rms = math.sqrt(sum(one * one for one in missed) / len(missed))
-    rectangle = (round(left[0], 2), round(top[0], 2), round(left[1], 2), round(top[1], 2))
     try:
+        wide, left = linear_regression([p for p, _ in shares], [touch.x_mm for touch in touches])
+        high, top = linear_regression([q for _, q in shares], [touch.y_mm for touch in touches])
+        missed = tuple(
+            math.hypot(left + wide * p - touch.x_mm, top + high * q - touch.y_mm)
+            for (p, q), touch in zip(shares, touches, strict=True)
+        )
+        rms = math.sqrt(sum(one * one for one in missed) / len(missed))
+        rectangle = (round(left, 2), round(top, 2), round(wide, 2), round(high, 2))
         InputSettings(screen_mm=rectangle, rotate=rotate, residual_mm=rms)
-    except ValueError:
+    except (ValueError, OverflowError):  # also of touches on one line
         return None
     return Mapping(rectangle, rotate, round(rms, 3), missed)
 
@@ -234,13 +235,3 @@ def _fit_rotated(touches: Sequence[Touched], rotate: int) -> Mapping | None:
 def _on_plate(across: float, along: float, rotate: int) -> tuple[float, float]:
     """Return the share of the rectangle's width and height on the plate for a place of the picture."""
     return {0: (across, along), 90: (1 - along, across), 180: (1 - across, 1 - along), 270: (along, 1 - across)}[rotate]
-
-
-def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float, float] | None:
-    """Return offset and slope of the straight line through points by least squares."""
-    mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
-    spread = sum((at - mean_x) ** 2 for at in x)
-    if spread < 1e-6:
-        return None
-    slope = sum((at - mean_x) * (to - mean_y) for at, to in zip(x, y, strict=True)) / spread
-    return mean_y - slope * mean_x, slope

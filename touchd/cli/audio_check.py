@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchd.cli.options import NumberRange, check_picture, config_option
+from touchd.cli.options import PATH, NumberRange, check_picture, config_option, json_option
 from touchd.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
               help="Starts that tell how stable the delay is.")  # fmt: skip
 @click.option("--seconds", type=NumberRange(0.1, 86400), default=10.0, show_default=True, metavar="S",
               help="For how long xruns are counted.")  # fmt: skip
-@click.option("--plate", "plate_file", type=click.Path(path_type=Path), metavar="PLATE.toml",
+@click.option("--plate", "plate_file", type=PATH, metavar="PLATE.toml",
               help="Also compute the expected error on this plate.")  # fmt: skip
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.png",
+@click.option("-o", "--output", type=PATH, metavar="FILE.png",
               help="Draw response, noise and crosstalk, and the expected error.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 @config_option
 def command(
     device: str,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from touchd.cli.options import check_output
+from touchd.cli.options import PATH, check_output
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,24 +23,22 @@ WIDTH, STEADY_WIDTH = 150, 225
 
 @click.command()
 @click.option("--quick", is_flag=True, help="Measure fewer touches and frames, in about 20 s.")
-@click.option("--json", "stored", type=click.Path(path_type=Path), metavar="FILE", help="Write the results to FILE.")
+@click.option("--json", "stored", type=PATH, metavar="FILE", help="Write the results to FILE.")
 @click.option(
-    "--compare", "other", type=click.Path(path_type=Path), metavar="FILE",
+    "--compare", "other", type=PATH, metavar="FILE",
     help="Compare with a stored run: ratios to the paper's network.",
 )  # fmt: skip
 @click.option(
     "--docs", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="FOLDER",
     help="Write benchmarks.md, its plots and its results into FOLDER.",
 )  # fmt: skip
+@click.option("--from", "given", type=PATH, metavar="FILE", help="Show a stored run instead of measuring.")
 @click.option(
-    "--from", "given", type=click.Path(path_type=Path), metavar="FILE", help="Show a stored run instead of measuring."
-)
-@click.option(
-    "--models", type=click.Path(path_type=Path), metavar="PATH",
+    "--models", type=PATH, metavar="PATH",
     help="Folder of the models, or one model of the example plate, by its own acquisition.  [default: shipped]",
 )  # fmt: skip
 @click.option(
-    "--also", type=click.Path(path_type=Path), multiple=True, metavar="FILE",
+    "--also", type=PATH, multiple=True, metavar="FILE",
     help="Benchmark this model for the example rig too; repeatable.",
 )  # fmt: skip
 @click.option(

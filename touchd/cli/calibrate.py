@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchd.cli.options import NumberRange, check_model_output, config_option
+from touchd.cli.options import PATH, NumberRange, check_model_output, config_option, json_option
 from touchd.errors import DeviceLost, PlatePoor
 
 if TYPE_CHECKING:
@@ -25,14 +25,14 @@ JOINTS = ("disc stiffer", "disc bead")
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path), required=False)
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (.onnx).")
+@click.argument("recording", type=PATH, required=False)
+@click.option("-o", "--output", type=PATH, required=True, help="The model to write (.onnx).")
 @click.option(
-    "--plate", "plate_file", type=click.Path(path_type=Path), required=True, metavar="PLATE.toml",
+    "--plate", "plate_file", type=PATH, required=True, metavar="PLATE.toml",
     help="What you measured of plate and discs.",
 )  # fmt: skip
 @click.option(
-    "--taps", "taps_file", type=click.Path(path_type=Path), metavar="RECORDING",
+    "--taps", "taps_file", type=PATH, metavar="RECORDING",
     help="Taps at roughly known places (contacts_mm): they turn the drawing, and correct places and field.",
 )  # fmt: skip
 @click.option("--ni", is_flag=True, help="Without RECORDING: take frames from NI hardware.")
@@ -40,7 +40,7 @@ JOINTS = ("disc stiffer", "disc bead")
 @click.option("--simulate", metavar="SCENE", help="Without RECORDING: take frames from a scene of the digital twin.")
 @click.option("--seconds", type=NumberRange(1.0), default=10.0, show_default=True, metavar="S",
               help="Without RECORDING: how many seconds of frames to take.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 @click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line: progress, then the result.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--force", is_flag=True, help="Write the model of a poor fit, too.")

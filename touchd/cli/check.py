@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING
 
 import click
 
+from touchd.cli.options import PATH, json_option
+
 if TYPE_CHECKING:
     from touchd.calibration.check import Checked
 
 
 @click.command()
-@click.argument("model", type=click.Path(path_type=Path))
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.argument("model", type=PATH)
+@click.argument("recording", type=PATH)
+@json_option
 def command(model: Path, recording: Path, as_json: bool) -> None:
     """Judge MODEL on RECORDING, a minute of anybody's touches and strokes.
 

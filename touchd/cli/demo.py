@@ -17,7 +17,7 @@ import click
 import numpy as np
 
 from touchd.cli.listen import describe
-from touchd.cli.options import parse_speed
+from touchd.cli.options import PATH, parse_speed
 from touchd.client import Subscriber
 from touchd.errors import BusError, BusTimeout, RecordingValues
 from touchd.evaluation.metrics import position_scores
@@ -33,10 +33,10 @@ _LOOK_S = 0.5
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path), default=SESSION)
+@click.argument("recording", type=PATH, default=SESSION)
 @click.option("--json", "as_json", is_flag=True, help="Print only the summary, as one JSON object.")
 @click.option("--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of the replay.  [default: 1]")
-@click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
+@click.option("--model", type=PATH, help="Model (ONNX).  [default: shipped]")
 def command(recording: Path, as_json: bool, speed: float, model: Path | None) -> None:
     """Replay RECORDING through the daemon, print the events that a subscriber receives, and summarise them.
 

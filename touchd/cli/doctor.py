@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from touchd.cli.main import missing_extra
-from touchd.cli.options import NumberRange, config_option
+from touchd.cli.options import PATH, NumberRange, config_option, json_option
 from touchd.config.load import load
 from touchd.config.schema import Settings
 from touchd.doctor import checks, host
@@ -29,17 +29,17 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 
 
 @click.command()
-@click.option("--replay", type=click.Path(path_type=Path), help="Check the frames of a recording, not of the DAQ.")
+@click.option("--replay", type=PATH, help="Check the frames of a recording, not of the DAQ.")
 @click.option("--simulate", metavar="SCENE", help="Check the frames of a twin's scene, not of the DAQ.")
 @click.option("--ni", is_flag=True, help="Check the frames of NI hardware, not of the DAQ on USB.")
 @click.option("--audio", metavar="DEVICE", help="Check the frames of an audio interface.")
 @click.option("--seed", default=0, type=click.IntRange(min=0), help="Seed of a simulated scene.", show_default=True)
 @click.option("--seconds", type=NumberRange(0.5), default=3.0, show_default=True, metavar="S",
               help="How many seconds of frames to take.")  # fmt: skip
-@click.option("--reference", type=click.Path(path_type=Path), metavar="PATH",
+@click.option("--reference", type=PATH, metavar="PATH",
               help="The training recording, or one of the untouched plate.  "
               "[default: MODEL.untouched.npz beside the model]")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 @click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line, as each check ends.")
 @config_option
 def command(

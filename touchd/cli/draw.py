@@ -6,14 +6,15 @@ from pathlib import Path
 
 import click
 
+from touchd.cli.options import PATH, check_picture, warn_of_other_plate
+
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The plot to write (PNG).")
-@click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
+@click.argument("recording", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, help="The plot to write (PNG).")
+@click.option("--model", type=PATH, help="Model (ONNX).  [default: shipped]")
 def command(recording: Path, output: Path, model: Path | None) -> None:
     """Replay RECORDING and plot the published contacts over its true touches."""
-    from touchd.cli.options import check_picture, warn_of_other_plate
     from touchd.config.load import load
     from touchd.evaluation.plots.session import draw_session
     from touchd.localization.model import default_model_path

@@ -12,7 +12,7 @@ from typing import Any
 import click
 import numpy as np
 
-from touchd.cli.options import check_picture, warn_of_other_plate
+from touchd.cli.options import PATH, check_picture, warn_of_other_plate
 from touchd.cli.progress import Bars
 from touchd.config.load import load
 from touchd.config.schema import Settings
@@ -31,11 +31,11 @@ STREAM_HZ = 20.0
 
 
 @click.command()
-@click.argument("model", type=click.Path(path_type=Path))
-@click.argument("recording", type=click.Path(path_type=Path))
+@click.argument("model", type=PATH)
+@click.argument("recording", type=PATH)
 @click.option("--json", "as_json", is_flag=True, help="Print the scores as one JSON object.")
 @click.option(
-    "--plot", type=click.Path(path_type=Path), metavar="FILE.png",
+    "--plot", type=PATH, metavar="FILE.png",
     help="Plot position error and bias over the plate, or the confusion of zones or keys.",
 )  # fmt: skip
 @click.option(

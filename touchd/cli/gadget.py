@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from touchd import __version__
+from touchd.cli.options import PATH
 from touchd.config.load import load
 from touchd.errors import GadgetError
 from touchd.frame import Acquisition
@@ -28,9 +29,8 @@ _LOOK_S = 0.2
 
 @click.command()
 @click.option("--udc", metavar="NAME", help="USB device port, from /sys/class/udc.  [default: the first]")
-@click.option("--functionfs", type=click.Path(path_type=Path), metavar="DIR",
-              help="Use the FunctionFS mounted here; do not set up the port.")  # fmt: skip
-@click.option("--replay", type=click.Path(path_type=Path), help="Stream a recording, in a loop.")
+@click.option("--functionfs", type=PATH, metavar="DIR", help="Use the FunctionFS mounted here; do not set up the port.")
+@click.option("--replay", type=PATH, help="Stream a recording, in a loop.")
 @click.option("--simulate", metavar="SCENE", help="Stream a scene of the digital twin.  [default: demo]")
 @click.option("--seed", default=0, type=click.IntRange(min=0), help="Seed of the scene.", show_default=True)
 @click.option("--serial", default="TWIN0001", show_default=True, help="Serial number of the device.")

@@ -14,7 +14,7 @@ import click
 from click.core import ParameterSource
 
 from touchd import __version__
-from touchd.cli.options import NumberRange, chosen, source_options
+from touchd.cli.options import PATH, NumberRange, chosen, source_options
 from touchd.cli.output import discard, say
 from touchd.errors import ConfigError, MissingExtra, ModelMissing, OutputError, TouchdError
 from touchd.service.signals import deliver, held, unwound
@@ -78,10 +78,10 @@ class Verbs(click.Group):
 
 
 @click.group(cls=Verbs, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
+@click.option("--config", "config", type=PATH, help="Configuration file (TOML).")
 @source_options
 @click.option("--bind", multiple=True, metavar="ADDRESS", help="Publish at tcp:// or ipc:// ADDRESS; repeatable.")
-@click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: the installed one]")
+@click.option("--model", type=PATH, help="Model (ONNX).  [default: the installed one]")
 @click.option("--print", "echo", is_flag=True, help="Print each event as a line of JSON, too.")
 @click.option(
     "--await-subscriber",

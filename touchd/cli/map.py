@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from touchd.bridges.area import CROSSES, LEAST_TOUCHES, Crosses, Touched, fit, keys_of
-from touchd.cli.options import bus_option, config_option
+from touchd.cli.options import PATH, bus_option, config_option
 from touchd.client import Subscriber
 from touchd.config.apart import load_apart
 from touchd.config.edit import set_keys
@@ -43,7 +43,7 @@ p {{ position: fixed; left: 20%; top: 25%; width: 60%; text-align: center }}
               metavar="N", help="How many crosses to touch.")  # fmt: skip
 @click.option("--page", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
               help="Write a page with the crosses, for a browser on that screen, and end.")  # fmt: skip
-@click.option("--from", "given", type=click.Path(path_type=Path), metavar="FILE",
+@click.option("--from", "given", type=PATH, metavar="FILE",
               help="Take no touches: fit those that touchd wizard has left in FILE.")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print the mapping, and write nothing.")
 @bus_option

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from touchd.cli.options import config_option
+from touchd.cli.options import PATH, config_option
+from touchd.cli.screen import socket_option
 from touchd.config.load import load
 from touchd.config.schema import Settings
 from touchd.errors import BusError, ModelError
@@ -21,10 +22,7 @@ if TYPE_CHECKING:
 
 @click.group()
 @config_option
-@click.option(
-    "--socket", "socket_path", type=click.Path(path_type=Path), metavar="FILE",
-    help=f"The daemon's control socket.  [default: control.socket, or {SERVICE_PATH}]",
-)  # fmt: skip
+@socket_option
 @click.pass_context
 def command(ctx: click.Context, config: Path | None, socket_path: Path | None) -> None:
     """Change the model of the daemon.
@@ -37,7 +35,7 @@ def command(ctx: click.Context, config: Path | None, socket_path: Path | None) -
 
 
 @command.command(name="install", short_help="Put a model in the place of the one in use.")
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=PATH)
 @click.pass_obj
 def install_command(found: tuple[Settings, Path], file: Path) -> None:
     """Copy FILE and the field atlas beside it in the place of the model in use, which is kept as the previous one."""

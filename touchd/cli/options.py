@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from touchd.recording.data import Meta
     from touchd.sources.open import SourceChoice
 
+PATH = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -41,9 +42,8 @@ def _or_above(ctx: click.Context, _param: click.Parameter, value: Path | None) -
     return value or (ctx.obj or {}).get("config")
 
 
-config_option = click.option(
-    "--config", type=click.Path(path_type=Path), callback=_or_above, help="Configuration file (TOML)."
-)
+config_option = click.option("--config", type=PATH, callback=_or_above, help="Configuration file (TOML).")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 bus_option = click.option(
     "--bus", "address", metavar="ADDRESS",
     help="Where the daemon publishes.  [default: the installed service, or else a touchd on this computer]",
@@ -64,7 +64,7 @@ def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> flo
 
 
 SOURCE_OPTIONS = (
-    click.option("--replay", type=click.Path(path_type=Path), help="Replay a recording: a file or a folder."),
+    click.option("--replay", type=PATH, help="Replay a recording: a file or a folder."),
     click.option("--simulate", metavar="SCENE", help="Simulate a scene of the digital twin, live."),
     click.option("--ni", is_flag=True, help="Read NI hardware: see [ni] in the configuration."),
     click.option("--audio", metavar="DEVICE", help="Read an audio interface: an ALSA name, see [audio]."),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchd.cli.options import NumberRange
+from touchd.cli.options import PATH, NumberRange, check_picture, json_option
 from touchd.cli.simulate import acquisition_option
 from touchd.frame import Acquisition
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("plate_file", type=click.Path(path_type=Path), metavar="PLATE.toml")
+@click.argument("plate_file", type=PATH, metavar="PLATE.toml")
 @acquisition_option
 @click.option(
     "--noise-db",
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     show_default=True,
     help="Signal-to-noise ratio of the untouched plate, dB.",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.png", help="Draw both maps.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("-o", "--output", type=PATH, metavar="FILE.png", help="Draw both maps.")
+@json_option
 def command(plate_file: Path, acquisition: Acquisition, noise_db: float, output: Path | None, as_json: bool) -> None:
     """Compute a fingertip's expected error over the plate of PLATE.toml, and move the discs to make it smaller.
 
@@ -37,7 +37,6 @@ def command(plate_file: Path, acquisition: Acquisition, noise_db: float, output:
     from touchd.calibration.plan import PlateMap
     from touchd.calibration.plate_file import read_plate_file
     from touchd.calibration.untouched import check_chirp
-    from touchd.cli.options import check_picture
     from touchd.cli.progress import Bars
 
     if output is not None:

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.options import check_model_output
+from touchd.cli.options import PATH, check_model_output
 
 
 @click.command()
-@click.argument("model", type=click.Path(path_type=Path))
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (ONNX).")
+@click.argument("model", type=PATH)
+@click.argument("recording", type=PATH)
+@click.option("-o", "--output", type=PATH, required=True, help="The model to write (ONNX).")
 @click.option("--force", is_flag=True, help="Replace the output if it exists.")
 def command(model: Path, recording: Path, output: Path, force: bool) -> None:
     """Quantise the weights of MODEL to 8 bits, a quarter of the size.

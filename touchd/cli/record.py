@@ -15,7 +15,7 @@ from typing import Any
 import click
 
 from touchd.calibration.walk import Walk, plan
-from touchd.cli.options import NumberRange, chosen, config_option, source_options
+from touchd.cli.options import PATH, NumberRange, chosen, config_option, source_options
 from touchd.cli.output import say
 from touchd.config.load import load
 from touchd.errors import ConfigError, OutputError, SourceError
@@ -55,7 +55,7 @@ def _notes(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
 
 
 @click.command()
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True,
+@click.option("-o", "--output", type=PATH, required=True,
               help="Output: one file if it ends in .npz, else a folder of chunks.")  # fmt: skip
 @source_options
 @click.option("--frames", type=click.IntRange(1), metavar="N", help="Stop after N frames.")

@@ -6,24 +6,25 @@ from pathlib import Path
 
 import click
 
+from touchd.cli.options import PATH, check_output
 from touchd.errors import RecordingValues
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path), required=False)
+@click.argument("recording", type=PATH, required=False)
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), default=Path("reproduction.md"), show_default=True,
+    "-o", "--output", type=PATH, default=Path("reproduction.md"), show_default=True,
     help="Report to write (Markdown); plots and tables go to a folder of the same name.",
 )  # fmt: skip
-@click.option("--layout", type=click.Path(path_type=Path), help="Keys of the keypad (TOML).  [default: 3 x 4]")
+@click.option("--layout", type=PATH, help="Keys of the keypad (TOML).  [default: 3 x 4]")
 @click.option("--seed", default=0, type=click.IntRange(min=0), show_default=True,
               help="Seed of the splits and of all trainings.")  # fmt: skip
-@click.option("--models", type=click.Path(path_type=Path), help="Folder of the models to score.  [default: shipped]")
+@click.option("--models", type=PATH, help="Folder of the models to score.  [default: shipped]")
 @click.option("--touches", type=click.IntRange(min=200), default=6404, show_default=True, help="Touches to simulate.")
 @click.option("--epochs", type=click.IntRange(min=1), help="Epochs of every training.  [default: the recipes']")
 @click.option("--jobs", type=click.IntRange(min=1), help="Processes to use.  [default: one a core]")
 @click.option("--dask", metavar="ADDRESS", help="Run on the workers of this Dask scheduler, such as tcp://host:8786.")
-@click.option("--cache", type=click.Path(path_type=Path), help="Folder of finished results.  [default: user's cache]")
+@click.option("--cache", type=PATH, help="Folder of finished results.  [default: user's cache]")
 @click.option("--force", is_flag=True, help="Replace the report if it exists.")
 def command(
     recording: Path | None,
@@ -42,7 +43,6 @@ def command(
 
     It takes about an hour on two cores. A repeated command resumes a stopped run.
     """
-    from touchd.cli.options import check_output
     from touchd.cli.progress import Bars
     from touchd.files import replacing, writing
     from touchd.keypad import PHONE, load_layout

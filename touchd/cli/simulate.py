@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from touchd.cli.options import Number, NumberRange, check_output
+from touchd.cli.options import PATH, Number, NumberRange, check_output
 from touchd.config.schema import LogSettings
 from touchd.errors import SimulationError
 from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate
@@ -61,23 +61,18 @@ acquisition_option = click.option(
     epilog=f"\b\nScenes:\n  {TOUCHES:13} a robot's training set: an untouched frame before each touch\n{_SCENE_LINES}"
 )
 @click.argument("scene", type=click.Choice([TOUCHES, *SCENES]), metavar="SCENE")
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The recording to write (.npz).")
+@click.option("-o", "--output", type=PATH, required=True, help="The recording to write (.npz).")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Equal seeds give equal counts.")
 @click.option("--frames", type=click.IntRange(min=1), help="Frames of a scene.  [default: the scene's]")
 @click.option("--rate-hz", type=Number(), help="Frames per second of a scene.  [default: 125; demo 100]")
 @click.option("--count", type=click.IntRange(min=1), help=f"Touches of a training set.  [default: {COUNT}]")
 @click.option("--finger", type=click.Choice(list(TISSUES)), help="Tissue of the finger.  [default: the scene's]")
-@click.option("--keypad", type=click.Path(path_type=Path), help="Layout of the keys (TOML).  [default: 3 x 4 keys]")
+@click.option("--keypad", type=PATH, help="Layout of the keys (TOML).  [default: 3 x 4 keys]")
 @click.option("--code", help="Code to type on the keypad.")
 @click.option("--plate", default="200x200x5", show_default=True, callback=_plate, metavar="WxHxT", help="In mm.")
 @click.option("--material", default="glass", show_default=True, type=click.Choice(list(MATERIALS)))
 @click.option("--loss", default=5e-3, show_default=True, type=Number(), help="Loss factor of the plate.")
-@click.option(
-    "--rig",
-    type=click.Path(path_type=Path),
-    metavar="FILE.toml",
-    help="Mounting, tilts and electronics of a real rig (TOML).",
-)
+@click.option("--rig", type=PATH, metavar="FILE.toml", help="Mounting, tilts and electronics of a real rig (TOML).")
 @click.option(
     "--noise-db", type=NumberRange(-20, 200), metavar="DB",
     help="Signal-to-noise ratio of the untouched plate, dB.  [default: 60]",

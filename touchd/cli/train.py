@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.options import check_model_output, check_output
+from touchd.cli.options import PATH, check_model_output, check_output
 from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
 
@@ -16,20 +16,15 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
 
 
 @click.command(epilog=_RECIPES)
-@click.argument("recording", type=click.Path(path_type=Path), nargs=-1, required=True)
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (ONNX).")
+@click.argument("recording", type=PATH, nargs=-1, required=True)
+@click.option("-o", "--output", type=PATH, required=True, help="The model to write (ONNX).")
 @click.option(
     "--recipe", type=click.Choice(list(RECIPES)), default="best", show_default=True, metavar="NAME",
     help="Recipe to train by, from the list below.",
 )  # fmt: skip
 @click.option("--n", "grid", default=10, show_default=True, help="Zones along each side, for the grid recipes.")
-@click.option(
-    "--layout", type=click.Path(path_type=Path), help="Keys (TOML), for the keypad recipes.  [default: 3 x 4]"
-)
-@click.option(
-    "--network", type=click.Path(path_type=Path),
-    help="Recipe atlas: use this network, trained on RECORDING.",
-)  # fmt: skip
+@click.option("--layout", type=PATH, help="Keys (TOML), for the keypad recipes.  [default: 3 x 4]")
+@click.option("--network", type=PATH, help="Recipe atlas: use this network, trained on RECORDING.")
 @click.option("--seed", default=0, type=click.IntRange(min=0), show_default=True,
               help="Seed of the split, the weights and the augmentation.")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")

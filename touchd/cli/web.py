@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from touchd.cli.options import bus_option, config_option
+from touchd.cli.options import PATH, bus_option, config_option
 from touchd.cli.output import say
 from touchd.config.apart import load_apart
 from touchd.errors import RecordingMissing
@@ -22,10 +22,9 @@ from touchd.service.systemd import Notifier
 @click.option("--origin", "origins", multiple=True, metavar="URL",
               help="Also serve pages of a reverse proxy at URL, for example https://plate.example.")  # fmt: skip
 @click.option("--keypad", is_flag=True, help="Show touches in keypad mode, too: whoever looks can read the PIN.")
-@click.option("--wizard", "wizard", type=click.Path(path_type=Path), metavar="FILE",
+@click.option("--wizard", "wizard", type=PATH, metavar="FILE",
               help="Socket of touchd wizard.  [default: the service's, or yours]")  # fmt: skip
-@click.option("--replay", type=click.Path(path_type=Path), metavar="RECORDING",
-              help="Also show a recording, frame by frame.")  # fmt: skip
+@click.option("--replay", type=PATH, metavar="RECORDING", help="Also show a recording, frame by frame.")
 @bus_option
 @config_option
 @click.pass_obj

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.options import NumberRange, bus_option, config_option
+from touchd.cli.options import PATH, NumberRange, bus_option, config_option
 from touchd.cli.output import say
 
 
 @click.command()
-@click.option("--socket", "socket_path", type=click.Path(path_type=Path), metavar="FILE",
+@click.option("--socket", "socket_path", type=PATH, metavar="FILE",
               help="Where to listen.  [default: the service's, or yours]")  # fmt: skip
-@click.option("--folder", type=click.Path(path_type=Path), metavar="DIR",
+@click.option("--folder", type=PATH, metavar="DIR",
               help="Where the state is kept.  [default: the service's state, or yours]")  # fmt: skip
 @click.option("--seconds", type=NumberRange(0.5), default=10.0, show_default=True, metavar="S",
               help="How long the plate stays untouched.")  # fmt: skip
