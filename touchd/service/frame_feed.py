@@ -120,7 +120,7 @@ class DaemonSource:
                 "run this as the daemon's own user or as root, or stop the daemon",
             ) from error  # fmt: skip
         self.acquisition = self.description.acquisition
-        self.device = self.description.device
+        self.device, self.rate_hz = self.description.device, self.description.rate_hz
         self._bytes = _HEAD.size + 2 * self.acquisition.channels * self.acquisition.samples
 
     def read(self, timeout_s: float) -> Frame | None:
@@ -147,8 +147,6 @@ class DaemonSource:
 
 def rate_of(source: Source, settings: DeviceSettings) -> float:
     """Return the frame rate of a recording, a scene or the running daemon, or the configured one of a device, Hz."""
-    if isinstance(source, DaemonSource):
-        return source.description.rate_hz
     meta = getattr(source, "meta", None)
     return meta.frame_rate_hz if isinstance(meta, Meta) else float(getattr(source, "rate_hz", settings.rate_hz))
 

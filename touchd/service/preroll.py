@@ -17,7 +17,7 @@ from touchd.event import Contact
 from touchd.files import state_folder
 from touchd.frame import Frame
 from touchd.recording.data import Meta
-from touchd.sources.recorder import write_frames
+from touchd.sources.recorder import recording_of, write_beside
 
 AFTER_NS = 1_000_000_000
 """From a doubtful touch until it is saved, ns: the recording shows how the touch went on."""
@@ -125,9 +125,8 @@ class PreRoll:
         try:
             self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-            names = (f"preroll-{stamp}-{reason}{suffix}.npz" for suffix in ("", *(f"-{n}" for n in range(1, 10_000))))
-            path = next(path for name in names if not (path := self._folder / name).exists())
-            write_frames(path, self._meta(), frames, frames[0].t_ns, compress=False)
+            made = recording_of(self._meta(), frames, frames[0].t_ns)
+            path = write_beside(self._folder / f"preroll-{stamp}-{reason}.npz", made, compress=False)
             if not self._span_ns:  # switched off meanwhile
                 path.unlink()
                 return

@@ -127,9 +127,10 @@ class Recorder:
             self._chunks += 1
 
     def _write(self, number: int, frames: list[Frame]) -> Path:
+        made = recording_of(self.meta, frames, self._epoch_ns)
         if self._single:
-            return write_beside(self.path, _recording_of(self.meta, frames, self._epoch_ns))
-        write_frames(self.path / f"{number:06d}.npz", self.meta, frames, self._epoch_ns)
+            return write_beside(self.path, made)
+        recording.write(self.path / f"{number:06d}.npz", made)
         return self.path
 
     def _finish_writing(self) -> None:
@@ -144,19 +145,15 @@ class Recorder:
                 self.path.rmdir()
 
 
-def write_frames(path: Path, meta: Meta, frames: list[Frame], epoch_ns: int, *, compress: bool = True) -> None:
-    """Write frames as one file whose time counts from `epoch_ns`."""
-    recording.write(path, _recording_of(meta, frames, epoch_ns), compress=compress)
-
-
-def _recording_of(meta: Meta, frames: list[Frame], epoch_ns: int) -> Recording:
+def recording_of(meta: Meta, frames: list[Frame], epoch_ns: int) -> Recording:
+    """Return frames as a recording whose time counts from `epoch_ns`."""
     counts = np.stack([frame.counts for frame in frames])
     sequence = np.array([frame.sequence for frame in frames], np.int64)
     timestamp_ns = np.array([frame.t_ns for frame in frames], np.int64) - epoch_ns
     return Recording(meta, counts, sequence, timestamp_ns)
 
 
-def write_beside(path: Path, made: Recording) -> Path:
+def write_beside(path: Path, made: Recording, *, compress: bool = True) -> Path:
     """Write a file and return its path: `NAME-2.npz` or a higher number if another program has made `NAME.npz`.
 
     Raises what `recording.write` raises.
@@ -164,7 +161,7 @@ def write_beside(path: Path, made: Recording) -> Path:
     for number in count(1):
         free = path if number == 1 else path.with_stem(f"{path.stem}-{number}")
         try:
-            recording.write(free, made, fresh=True)
+            recording.write(free, made, compress=compress, fresh=True)
             break
         except OutputError as error:
             if not isinstance(error.__cause__, FileExistsError):

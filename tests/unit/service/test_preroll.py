@@ -22,7 +22,7 @@ from touchd.recording.data import Recording
 from touchd.recording.format import read
 from touchd.service import preroll
 from touchd.service.preroll import PreRoll
-from touchd.sources.recorder import describe, write_frames
+from touchd.sources.recorder import describe, write_beside
 
 ACQUISITION = Acquisition(channels=2, samples=3, sample_rate_hz=250e3)
 RATE_HZ = 10
@@ -154,11 +154,11 @@ def test_frames_go_on_while_a_slow_disk_is_written_to_and_none_is_changed(
 ) -> None:
     go_on = threading.Event()
 
-    def slowly(path: Path, *args: Any, **options: Any) -> None:
+    def slowly(path: Path, *args: Any, **options: Any) -> Path:
         go_on.wait(PATIENCE_S)
-        write_frames(path, *args, **options)
+        return write_beside(path, *args, **options)
 
-    monkeypatch.setattr(preroll, "write_frames", slowly)
+    monkeypatch.setattr(preroll, "write_beside", slowly)
     bench = make()
     bench.frames(100)
     bench.preroll.request("sigusr1")
@@ -242,12 +242,12 @@ def test_switched_off(make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatc
     """Once `seconds` is 0 nothing is kept or written: not what was asked for before, nor what is being written."""
     begun, go_on = threading.Event(), threading.Event()
 
-    def slowly(path: Path, *args: Any, **options: Any) -> None:
+    def slowly(path: Path, *args: Any, **options: Any) -> Path:
         begun.set()
         go_on.wait(PATIENCE_S)
-        write_frames(path, *args, **options)
+        return write_beside(path, *args, **options)
 
-    monkeypatch.setattr(preroll, "write_frames", slowly)
+    monkeypatch.setattr(preroll, "write_beside", slowly)
     bench = make(min_confidence=0.7)
     bench.frames(40)
     bench.preroll.request("sigusr1")

@@ -92,10 +92,10 @@ def test_a_full_file_says_to_use_a_folder_and_keeps_what_it_has(tmp_path: Path) 
 def test_a_disk_that_fills_up_is_reported_while_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write = recording.write
 
-    def fill(path: Path, chunk: Recording, *, compress: bool) -> None:
+    def fill(path: Path, chunk: Recording) -> None:
         if path.name == "000001.npz":
             raise OutputError("cannot be written (No space left on device)", str(path))
-        write(path, chunk, compress=compress)
+        write(path, chunk)
 
     monkeypatch.setattr(recording, "write", fill)
     recorder = Recorder(tmp_path / "folder", META, chunk_frames=2)
