@@ -11,13 +11,13 @@ import hashlib
 import ipaddress
 import logging
 import os
-import signal
 import socket
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from functools import partial
 from pathlib import Path
-from types import FrameType, ModuleType
+from threading import Event
+from types import ModuleType
 from typing import Any
 
 import uvicorn
@@ -29,6 +29,7 @@ from starlette.routing import BaseRoute, Route
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from touchd.errors import AddressInUse, ConfigError, InsecureBind
+from touchd.service.signals import stopping
 from touchd.service.systemd import Notifier
 from touchd.web import calibrate, check, live, replay
 from touchd.web.guards import Guard
@@ -170,16 +171,11 @@ def serve(site: Site, listening: socket.socket, ready: Callable[[], object], man
     if not debug:
         logging.getLogger("uvicorn.error").addFilter(_without_traceback)
 
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        server.should_exit = True
-
-    for number in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises again what it has caught: that is no failure
-        signal.signal(number, stop)
-
-    async def run() -> None:
+    async def run(stop: Event) -> None:
         served = asyncio.create_task(server.serve([listening]))
         told, since_ns = False, dict[Any, int]()
         while not served.done():
+            server.should_exit |= stop.is_set()
             if server.started and not told:
                 told = True
                 ready()
@@ -189,5 +185,6 @@ def serve(site: Site, listening: socket.socket, ready: Callable[[], object], man
             await asyncio.wait([served], timeout=_BEAT_S if told else 0.01)
         await served
 
-    asyncio.run(run())
-    manager.stopping()
+    with stopping() as stop:  # uvicorn raises again what it has caught: that is no failure
+        asyncio.run(run(stop))
+        manager.stopping()
