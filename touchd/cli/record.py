@@ -25,7 +25,7 @@ from touchd.service.frame_feed import DaemonSource, open_running, rate_of
 from touchd.service.runner import frames_of
 from touchd.service.signals import stopping
 from touchd.sources.open import open_source
-from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder, describe, prepare, write_beside
+from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder, describe_source, prepare, write_beside
 from touchd.sources.source import Change, Source
 
 _TIMEOUT_S = 0.2
@@ -154,21 +154,13 @@ def _record(source: Source, recorder: Recorder, frames: int | None, seconds: flo
 
 
 def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes: str) -> Meta:
-    """Return the recording's metadata: the source's own, if it has any."""
-    known = getattr(source, "meta", None)
-    if isinstance(source, DaemonSource):
-        plate, kind = plate or source.description.plate, source.description.source
-    if isinstance(known, Meta):
+    """Return the recording's metadata; ConfigError if neither the source nor the command line tells the plate."""
+    known = source.description if isinstance(source, DaemonSource) else getattr(source, "meta", None)
+    if known is not None:
         plate, kind = plate or known.plate, known.source or kind
     if plate is None:
         raise ConfigError("the plate's size is not known", "--plate", "add --plate WIDTHxHEIGHT, in mm")
-    device = getattr(source, "device", None)
-    fresh = describe(source.acquisition, plate, rate_hz, source=kind, device=device, notes=notes)
-    if not isinstance(known, Meta):
-        return fresh
-    changes = {"plate": fresh.plate, "source": fresh.source, "created": fresh.created, "notes": notes or known.notes,
-               "acts": ()}  # fmt: skip
-    return known.model_copy(update=changes)
+    return describe_source(source, plate, rate_hz, kind, notes)
 
 
 def until(stop: Event, source: Source) -> Iterator[Frame | None]:

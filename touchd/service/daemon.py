@@ -32,7 +32,7 @@ from touchd.service.systemd import Notifier
 from touchd.sinks.sink import JsonlSink, Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.open import SourceChoice, open_source
-from touchd.sources.recorder import describe
+from touchd.sources.recorder import describe_source
 from touchd.sources.source import Source
 
 Step = Callable[[str], AbstractContextManager[object]]
@@ -122,9 +122,7 @@ def recording_meta(source: Source, d: FeedDescription) -> Meta:
     """Return the description of a recording of a source that begins now; SourceError if its plate is unknown."""
     if d.plate is None:
         raise SourceError("no plate is known without a model", "pre-roll", "touchd calibrate")
-    fresh = describe(d.acquisition, d.plate, d.rate_hz, source=d.source, device=d.device)
-    known = getattr(source, "meta", None)
-    return known.model_copy(update={"created": fresh.created}) if known else fresh
+    return describe_source(source, d.plate, d.rate_hz, d.source)
 
 
 def warn_of_another_plate(source: Source, model: Model | None) -> None:

@@ -16,6 +16,7 @@ from touchd.files import writing
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording import format as recording
 from touchd.recording.data import Device, Meta, Recording
+from touchd.sources.source import Source
 
 CHUNK_FRAMES = 5000
 """Frames in a chunk of a folder: at 125 frames a second, a power cut costs at most 40 s."""
@@ -45,6 +46,20 @@ def describe(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         notes=notes,
     )
+
+
+def describe_source(source: Source, plate: Plate, frame_rate_hz: float, kind: str, notes: str = "") -> Meta:
+    """Return the description of a recording of a source that begins now: the source's own, if it has one.
+
+    Acts are of the frames that were recorded first.
+    """
+    device = getattr(source, "device", None)
+    fresh = describe(source.acquisition, plate, frame_rate_hz, source=kind, device=device, notes=notes)
+    known: Meta | None = getattr(source, "meta", None)
+    if known is None:
+        return fresh
+    changes = {"plate": plate, "source": kind, "created": fresh.created, "notes": notes or known.notes, "acts": ()}
+    return known.model_copy(update=changes)
 
 
 class Recorder:

@@ -237,8 +237,6 @@ class FrameReader:
         del pending[:at]
 
     def _header(self, data: memoryview | bytearray, at: int) -> Header | None:
-        if len(data) - at < HEADER_BYTES:
-            return None
         magic, version, flags, header_bytes, sequence, channels, bits, samples, timestamp_us, temperature, _, _ = (
             _HEADER.unpack_from(data, at)
         )

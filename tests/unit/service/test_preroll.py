@@ -7,6 +7,7 @@ import threading
 import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,27 +15,22 @@ import pytest
 from structlog.testing import capture_logs
 
 from tests.processes import PATIENCE_S, wait_until
+from tests.unit.service.bench import Clock
 from touchd.config.schema import PreRollSettings
 from touchd.event import Contact
 from touchd.files import state_folder
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.recording.data import Recording
+from touchd.recording.data import Act, Recording
 from touchd.recording.format import read
 from touchd.service import preroll
+from touchd.service.daemon import recording_meta
+from touchd.service.frame_feed import FeedDescription
 from touchd.service.preroll import PreRoll
 from touchd.sources.recorder import describe, write_beside
 
 ACQUISITION = Acquisition(channels=2, samples=3, sample_rate_hz=250e3)
 RATE_HZ = 10
 PERIOD_NS = 100_000_000
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now_ns = 10**15
-
-    def __call__(self) -> int:
-        return self.now_ns
 
 
 class Bench:
@@ -322,3 +318,14 @@ def test_the_service_managers_folder_is_used_or_else_the_users(monkeypatch: pyte
     monkeypatch.delenv("STATE_DIRECTORY")
     monkeypatch.setenv("XDG_STATE_HOME", "/home/x/state")
     assert state_folder("preroll") == Path("/home/x/state/touchd/preroll")
+
+
+def test_acts() -> None:
+    """Of a recording that is replayed the pre-roll has the rig, and no acts: they are of other frames."""
+    plate = Plate(width_mm=9, height_mm=8)
+    meta = describe(ACQUISITION, plate, RATE_HZ, source="usb", notes="a rig")
+    source: Any = SimpleNamespace(
+        acquisition=ACQUISITION, meta=meta.model_copy(update={"acts": (Act(name="tap", begin=0, end=9),)})
+    )
+    found = recording_meta(source, FeedDescription(acquisition=ACQUISITION, rate_hz=RATE_HZ, source="usb", plate=plate))
+    assert (found.acts, found.notes) == ((), "a rig")
