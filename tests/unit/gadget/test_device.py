@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.unit.service.bench import Clock
 from touchd.errors import GadgetError
 from touchd.gadget.device import BACKLOG, COMMANDS, Gadget
 from touchd.sources.usb_protocol import Flag, FrameReader, Header, Info, Request, Status, build_status, parse_info
@@ -19,14 +20,6 @@ INFO = Info(
 IN, OUT = 0xC0, 0x40
 PERIOD_NS = 10_000_000
 COMPLETE_NS = 1_000_000
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now_ns = 10**12
-
-    def __call__(self) -> int:
-        return self.now_ns
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from tests.unit.service import bench
 from touchd.errors import SimulationError
 from touchd.frame import Frame, Plate
 from touchd.sources import simulated
@@ -33,14 +34,8 @@ def no_thread_is_left() -> Iterator[None]:
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("twin")]
 
 
-class Clock:
+class Clock(bench.Clock):
     """Time that passes only while somebody sleeps."""
-
-    def __init__(self) -> None:
-        self.now_ns = 5_000_000_000
-
-    def __call__(self) -> int:
-        return self.now_ns
 
     def sleep(self, seconds: float) -> None:
         self.now_ns += max(1, round(seconds * 1e9))
@@ -72,7 +67,7 @@ def test_each_frame_comes_when_its_last_sample_is_taken(instrument: Instrument) 
     source = SimulatedSource("tap", frames=FRAMES, loop=False, instrument=instrument, clock=clock, sleep=clock.sleep)
     for frame in everything(source):
         assert frame.received_ns == frame.t_ns + 1_000_000
-        assert frame.t_ns == 5_000_000_000 + frame.sequence * 8_000_000
+        assert frame.t_ns == bench.START_NS + frame.sequence * 8_000_000
 
 
 def test_a_frame_that_is_not_due_within_the_timeout_is_none(instrument: Instrument) -> None:
