@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import os
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -25,7 +26,7 @@ from typing import Generic, Self, TypeVar, overload
 import zmq
 
 from touchd.errors import BusError, BusTimeout
-from touchd.event import TOPICS, Event, KeyEvent, TouchEvent
+from touchd.event import SILENCE_NS, TOPICS, Event, KeyEvent, TouchEvent
 from touchd.sinks import curve, endpoint
 from touchd.sinks.stream import Stream, decode_message
 
@@ -41,6 +42,7 @@ _RCVMORE = int(zmq.RCVMORE)  # pyzmq looks an enum's members up in each call
 _MOST_BYTES = 1 << 24  # of a message: libzmq ends a connection that brings more, for good
 _MOST_DEVICES = 256  # that share an address
 _MOST_DRAINED = 1000  # messages read for one event
+_LOOK_S = SILENCE_NS * 1e-9  # who waits looks this often whether it was closed, and whether touches fell silent
 
 
 # Unless other topics are asked for, a type checker sees an iterator of touches.
@@ -53,7 +55,8 @@ class Subscriber(Generic[E]):
 
     It may be made before the daemon runs, and outlives a restart of it. Messages that the bus repeats, for another
     subscriber's sake, are left out. So are stale ones, which waited while this program or the connection stood still.
-    A finger that was down by then is lifted first: an event without contacts, and without an `up`.
+    A finger that was down by then is lifted first, and so is one of which no message came for 0.3 s, as the daemon
+    hangs or is gone: an event without contacts, and without an `up`.
 
     Parameters
     ----------
@@ -68,7 +71,7 @@ class Subscriber(Generic[E]):
     client_key_file : path or None
         This client's secret key file; without it a key is made up, which a daemon without `curve_clients` accepts.
     max_age_s : float or None
-        Touches, keys and spectra older than this are dropped; None drops none, for programs that want everything in
+        Touches, keys and spectra older than this are dropped; None drops and lifts none, for programs that want all in
         order. Of another computer's daemon the age is the delay beyond the least one seen, so the first is never old.
     newest_only : bool
         Of the messages that wait, return each topic's newest alone, and every key. A tap may begin and end between two
@@ -135,6 +138,8 @@ class Subscriber(Generic[E]):
         self._socket = self._context.socket(zmq.SUB)
         self._waits_s = math.inf  # in a call that receives
         self._process = os.getpid()
+        self._lock = threading.RLock()  # a signal's handler may close while its thread receives
+        self._receiving = self._closed = False
         try:
             self._socket.setsockopt(zmq.LINGER, 0)
             self._socket.setsockopt(zmq.MAXMSGSIZE, _MOST_BYTES)
@@ -166,29 +171,63 @@ class Subscriber(Generic[E]):
         return self
 
     def __next__(self) -> E:
-        if self._socket.closed:
-            raise StopIteration
-        return self.receive(self.timeout_s)
+        if not self._closed:
+            try:
+                return self.receive(self.timeout_s)
+            except BusError:
+                if not self._closed:
+                    raise
+        raise StopIteration
 
     def receive(self, timeout_s: float | None = None) -> E:
         """Return the next event, waiting for it at most `timeout_s`, or for ever if None.
 
-        Raises BusTimeout if there was none, BusError if a message is not one of the bus.
+        Raises BusTimeout if there was none, BusError if a message is not one of the bus, or the subscription is closed.
         """
         if os.getpid() != self._process:  # libzmq would wait for ever
             raise BusError("made before this process was forked", self.address, "make a Subscriber in each process")
         if timeout_s is not None and math.isnan(timeout_s):
             raise BusError("the time to wait is not a number", self.address, "give seconds, or None")
-        left_s = math.inf if timeout_s is None else timeout_s
-        deadline_s = time.monotonic() + left_s
+        with self._lock:
+            self._receiving = True
+            try:
+                return self._receive(math.inf if timeout_s is None else timeout_s)
+            finally:
+                self._receiving = False
+                if self._closed:
+                    self._end()
+
+    def close(self) -> None:
+        """End the subscription, and within 0.3 s what another thread waits for; further calls do nothing."""
+        self._closed = True
+        if os.getpid() == self._process:  # a forked one has nothing open
+            with self._lock:
+                if not self._receiving:
+                    self._end()
+
+    def _end(self) -> None:
+        self._socket.close()
+        self._context.term()
+
+    def _receive(self, timeout_s: float) -> E:
+        deadline_s, left_s = time.monotonic() + timeout_s, timeout_s
         drained = len(self._waiting)
-        while drained < _MOST_DRAINED and (parts := self._received(0.0 if self._waiting else left_s)) is not None:
-            event = decode_message(parts, self.address)
-            if event is not None and (new := self._stream(event.device).take(event)) is not None:
+        while drained < _MOST_DRAINED or (left_s > 0 and not self._waiting):
+            if self._closed:
+                raise BusError("the subscription is closed", self.address, "make another Subscriber")
+            parts = self._received(0.0 if self._waiting else min(left_s, _LOOK_S))
+            if parts is None:
+                new = self._lifted()
+                if new is None and (self._waiting or left_s <= 0):
+                    break
+            else:
+                event = decode_message(parts, self.address)
+                new = None if event is None else self._stream(event.device).take(event)
+                drained += 1
+            if new is not None:
                 if not self._newest_only:
                     return new  # type: ignore[return-value]  # the topics asked for decide what E is
                 self._keep(new)
-                drained += 1
             left_s = deadline_s - time.monotonic()
         if self._waiting:
             return self._waiting.pop(next(iter(self._waiting)))  # type: ignore[return-value]  # as above
@@ -199,13 +238,9 @@ class Subscriber(Generic[E]):
             + (", and that it knows both keys" if self._keyed else ", and whether it asks for keys"),
         )
 
-    def close(self) -> None:
-        """End the subscription; further calls do nothing, and an iteration ends.
-
-        Call it in the thread that receives: libzmq may end a program that closes a socket while another thread waits.
-        """
-        self._socket.close()
-        self._context.term()
+    def _lifted(self) -> Event | None:
+        """Return that nothing is touched, of a device of which a finger was down and no touch came for too long."""
+        return next((lifted for stream in self._streams.values() if (lifted := stream.lift_silent()) is not None), None)
 
     def _connect(self, address: str) -> None:
         if address.startswith("tcp://"):

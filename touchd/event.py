@@ -15,6 +15,8 @@ from msgspec import Struct
 Phase = Literal["down", "move", "hold", "up"]
 State = Literal["starting", "streaming", "uncalibrated", "stalled", "lost", "stopping"]
 VERSION = 1
+SILENCE_NS = 300_000_000
+"""The daemon repeats a touch every 0.1 s while a finger is down. After this silence it hangs, or is gone."""
 
 
 # Without `gc`: no event can be part of a cycle, and the collector need not look at the thousands that are made.

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import os
+import signal
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -22,6 +24,7 @@ from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Contact, Event, HealthEvent, KeyEvent, Latency, Phase, TouchEvent, encode
+from touchd.sinks import stream
 from touchd.sinks.zeromq import ZeromqSink
 
 
@@ -48,6 +51,12 @@ class Wire:
     def send(self, *events: Event) -> None:
         for event in events:
             self.socket.send_multipart([event.type.encode(), encode(event)])
+
+
+@pytest.fixture(autouse=True)
+def silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy computer stands still for longer than a daemon that lives."""
+    monkeypatch.setattr(stream, "SILENCE_NS", 10**12)
 
 
 @pytest.fixture
@@ -255,6 +264,49 @@ def test_a_closed_subscription_ends_the_loop(wire: Wire) -> None:
     events.close()
 
 
+@pytest.mark.parametrize("timeout_s", [None, 60.0])
+def test_closed_by_another_thread(wire: Wire, timeout_s: float | None) -> None:
+    """The thread that waits for an event ends its loop, and `close` returns with the connection ended."""
+    events = Subscriber(wire.address, timeout_s=timeout_s)
+    wire.wait()
+    seen: list[int] = []
+    receiver = threading.Thread(target=lambda: seen.extend(event.seq for event in events))
+    receiver.start()
+    wire.send(touch(1))
+    while not seen and receiver.is_alive():
+        wire.send(touch(1))
+    events.close()
+    receiver.join(60)
+    assert not receiver.is_alive()
+    assert seen == [1]
+    wire.wait()  # it is gone
+    with pytest.raises(BusError, match="is closed -> make another Subscriber"):
+        events.receive(0)
+
+
+def test_closed_by_a_signal(wire: Wire) -> None:
+    """The handler of a signal may end the subscription for which its own thread waits."""
+    before = signal.signal(signal.SIGUSR2, lambda _number, _frame: events.close())
+    try:
+        with Subscriber(wire.address) as events:
+            main = threading.get_ident()
+            timer = threading.Timer(0.02, lambda: signal.pthread_kill(main, signal.SIGUSR2))
+            timer.start()
+            assert list(events) == []
+            timer.join()
+    finally:
+        signal.signal(signal.SIGUSR2, before)
+
+
+def test_a_flood_of_other_topics(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is passed over, however much of it comes, does not put a timeout off."""
+    flood = iter([[b"touchscreen", b""]] * 1_000_000)
+    with Subscriber(wire.address) as events:
+        monkeypatch.setattr(events, "_received", lambda _timeout_s: next(flood))
+        with pytest.raises(BusTimeout):
+            events.receive(0.01)
+
+
 @pytest.mark.parametrize("address", ["", "127.0.0.1:5570", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "http://x:1"])
 def test_what_is_no_address_is_refused_at_once(address: str) -> None:
     with pytest.raises(BusError, match="write tcp://HOST:PORT"):
@@ -286,6 +338,20 @@ def test_stale_touches_are_dropped(wire: Wire) -> None:
         assert (fresh.seq, fresh.contacts[0].phase) == (503, "down")
         assert events.dropped == {"touch": 501}
         assert events.lost.total() == 0
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, 60.0])
+def test_a_daemon_that_is_gone(wire: Wire, monkeypatch: pytest.MonkeyPatch, timeout_s: float) -> None:
+    """Of a daemon that was killed with a finger down nothing comes any more: the finger is lifted, once."""
+    with Subscriber(wire.address, timeout_s=60) as events:
+        wire.wait()
+        wire.send(stamped(1, 0, "down"))
+        assert next(events).contacts
+        monkeypatch.setattr(stream, "SILENCE_NS", 0)
+        lifted = events.receive(timeout_s)
+        assert (lifted.seq, lifted.contacts) == (1, [])
+        with pytest.raises(BusTimeout):
+            events.receive(0)
 
 
 @pytest.mark.parametrize("max_age_s", [None, math.inf, 100.0])

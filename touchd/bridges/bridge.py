@@ -11,12 +11,10 @@ from typing import Protocol
 
 from touchd.client import Subscriber
 from touchd.errors import BusTimeout
-from touchd.event import Contact, Event, HealthEvent, KeyEvent, TouchEvent
+from touchd.event import SILENCE_NS, Contact, Event, HealthEvent, KeyEvent, TouchEvent
 
 Down = dict[int, Contact]
 """The contacts that are down, each under a number that this process never uses again."""
-SILENCE_NS = 300_000_000
-"""The daemon repeats a touch every 0.1 s while a finger is down. After this silence it hangs, or is gone."""
 _WAIT_S, _BEAT_NS = 0.25, 100_000_000
 """Longest wait for the bus, and least time between two looks at what is not on it: signals, the watchdog of 2 s."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections import Counter
@@ -12,7 +13,7 @@ import msgspec
 from msgspec.structs import replace
 
 from touchd.errors import BusError
-from touchd.event import DECODERS, TOPICS, VERSION, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent
+from touchd.event import DECODERS, SILENCE_NS, TOPICS, VERSION, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent
 
 _LONGEST_BYTES = 1 << 20
 """A spectrum has some ten thousand."""
@@ -96,7 +97,8 @@ class Stream:
         self._lost, self._dropped = lost, dropped
         self._clock, self._wall_clock = clock, wall_clock
         self._last: dict[str, tuple[int, int]] = {}
-        self._touched = False
+        self._touched: TouchEvent | None = None  # the last touch, if a finger is down by it
+        self._touched_ns = 0
         self._pressed: set[str] = set()
         self._epoch_ns: int | None = None
         self._shared = False
@@ -120,18 +122,30 @@ class Stream:
         follows = last is not None and event.seq == last[0] + 1 and event.t_ns >= last[1]
         if not self._is_stale(event, self._clock(), follows=follows):
             if isinstance(event, TouchEvent):
-                self._touched = any(contact.phase != "up" for contact in event.contacts)
+                self._touched = event if any(contact.phase != "up" for contact in event.contacts) else None
+                self._touched_ns = self._heard_ns
             elif isinstance(event, KeyEvent):
                 self._note(event)
             return event
         self._dropped[event.type] += 1
-        if isinstance(event, TouchEvent) and self._touched:
-            self._touched = False
+        if isinstance(event, TouchEvent) and self._touched is not None:
+            self._touched = None
             return replace(event, contacts=[])
         if isinstance(event, KeyEvent) and event.phase == "release" and event.key in self._pressed:
             self._note(event)
             return event
         return None
+
+    def lift_silent(self) -> TouchEvent | None:
+        """Return once that nothing is touched if a finger was down, and no touch came for `SILENCE_NS`.
+
+        Of a stream in which nothing is stale, nothing is lifted.
+        """
+        touched = self._touched
+        if touched is None or self._clock() - self._touched_ns < SILENCE_NS or self._max_age_ns == math.inf:
+            return None
+        self._touched = None
+        return replace(touched, contacts=[])
 
     def _note(self, event: KeyEvent) -> None:
         if event.phase == "release":

@@ -29,7 +29,6 @@ if __name__ == "__main__":
     uinput.NODE = Path(sys.argv[1])
     uinput.DEVICES, screen.CONNECTORS = (uinput.NODE.parent / name for name in ("devices", "drm"))
     if os.environ.get("PATIENT"):
-        bridge.SILENCE_NS = 10**12
-        vars(bridge)["Subscriber"] = partial(Subscriber, max_age_s=None)
+        vars(bridge).update(SILENCE_NS=10**12, Subscriber=partial(Subscriber, max_age_s=None))
     fcntl.ioctl = ioctl  # type: ignore[assignment]  # has overloads
     sys.exit(main(sys.argv[2:]))

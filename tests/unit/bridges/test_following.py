@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from tests.unit.bridges.events import MS, contact, health, touch
 from touchd.bridges import bridge
-from touchd.bridges.bridge import SILENCE_NS, Down, Following
-from touchd.event import Event, KeyEvent, Phase, State
+from touchd.bridges.bridge import Down, Following
+from touchd.event import SILENCE_NS, Event, KeyEvent, Phase, State
 
 
 def ids(following: Following) -> list[int]:
