@@ -58,7 +58,7 @@ def frames_of(recording: Recording) -> list[Frame]:
 
 def run(pipeline: Pipeline, frames: Iterable[Frame]) -> list[Event]:
     """The messages of some frames, as if somebody wanted all of them."""
-    messages = Messages(Settings(), lambda _topic: True, wall_offset_ns=0)
+    messages = Messages(Settings(), lambda _topic: True, wall_offset=lambda: 0)
     return [event for frame in frames for event in messages.make(pipeline.process(frame), pipeline.spectrum)]
 
 

@@ -34,24 +34,35 @@ from touchd.sources.source import Labelled, LiveSource, Source, Tally
 
 _LATENCIES = 8192
 """Kept for one health period; of more messages than that the last ones count."""
+_STEP_NS = 500_000_000
+"""UTC moves against CLOCK_MONOTONIC by more than this if somebody sets the clock, or the computer slept. The bus's
+subscribers tell other clocks by a second."""
 _LOGGED = ("lost", "corrupt", "clipped", "repeated", "frozen", "behind", "emitter_fault", "test_pattern")
 """Counts that are logged when they have grown."""
 
 log = structlog.get_logger()
 
 
+def wall_offset() -> int:
+    """Return UTC less CLOCK_MONOTONIC, ns."""
+    return time.time_ns() - time.monotonic_ns()
+
+
 class Messages:
     """Makes the touch, key and spectrum messages of one device, and stamps its health messages.
 
-    `wants` returns whether anybody would see a message of a topic. `wall_offset_ns` is UTC less CLOCK_MONOTONIC, ns, by
-    default read here, once: so the messages' wall time never steps back.
+    `wants` returns whether anybody would see a message of a topic. `wall_offset` returns UTC less CLOCK_MONOTONIC, ns.
+    It is asked once a second, and its steps alone count: what it jitters by does not.
     """
 
-    def __init__(self, settings: Settings, wants: Callable[[str], bool], wall_offset_ns: int | None = None) -> None:
+    def __init__(
+        self, settings: Settings, wants: Callable[[str], bool], wall_offset: Callable[[], int] = wall_offset
+    ) -> None:
         self.unheard = {"touch": 0, "spectrum": 0}
         """Messages that were not made because nobody wanted them, by topic."""
         self._device = settings.device.name
-        self._wall_offset_ns = time.time_ns() - time.monotonic_ns() if wall_offset_ns is None else wall_offset_ns
+        self._wall_offset = wall_offset
+        self._wall_offset_ns = wall_offset()
         self._asked = wants
         self._seq = {topic: count(1) for topic in TOPICS}
         self._was_touched = False
@@ -115,6 +126,10 @@ class Messages:
     def _wall(self, t_ns: int) -> str:
         utc_s, rest_ns = divmod(t_ns + self._wall_offset_ns, 1_000_000_000)
         if utc_s != self._wall_s:  # once a second: the calendar costs more than the rest of a message
+            offset_ns = self._wall_offset()
+            if abs(offset_ns - self._wall_offset_ns) > _STEP_NS:
+                self._wall_offset_ns = offset_ns
+                utc_s, rest_ns = divmod(t_ns + offset_ns, 1_000_000_000)
             self._wall_s = utc_s
             self._wall_text = datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%dT%H:%M:%S")
         return f"{self._wall_text}.{rest_ns // 1000:06d}Z"

@@ -98,7 +98,7 @@ def run(
     result = Run(pipeline=Pipeline(chosen.description.acquisition, chosen, settings))
     localizer = result.pipeline._localizer
     watch = _watch(localizer) if isinstance(localizer, AtlasLocalizer) else None
-    result.messages = Messages(settings, lambda _topic: True, wall_offset_ns=0)
+    result.messages = Messages(settings, lambda _topic: True, wall_offset=lambda: 0)
     for number, frame in enumerate(frames):
         if watch is not None:
             watch.number = number

@@ -14,7 +14,7 @@ from touchd.frame import Frame
 from touchd.keypad import PHONE, load_layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service.messages import Messages
+from touchd.service.messages import Messages, all_but_spectra
 
 HEAR_ALL = Settings.model_validate({"skip": {"unheard": False}})
 
@@ -48,7 +48,7 @@ def play(scene: Scene, model: Model) -> Callable[[str], Run]:
 
 def make(wants: Callable[[str], bool] = lambda _topic: True, settings: Settings | None = None) -> Messages:
     """Messages by a monotonic clock that began with 1970."""
-    return Messages(settings or Settings(), wants, wall_offset_ns=0)
+    return Messages(settings or Settings(), wants, wall_offset=lambda: 0)
 
 
 def phases(events: list[Event]) -> list[tuple[int, str]]:
@@ -76,6 +76,23 @@ def test_time(play: Callable[[str], Run]) -> None:
         assert event.t_ns == time_ns[event.frame]
         wall = datetime.fromisoformat(event.wall) - datetime.fromtimestamp(0, UTC)
         assert wall.total_seconds() == pytest.approx(event.t_ns * 1e-9, abs=2e-6)
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0], ids=["slept, or set forward", "set back"])
+def test_a_clock_that_is_set(step_s: float) -> None:
+    """Within a second a message's UTC follows the computer's clock; that it jitters shows in no message."""
+    offset_ns = [0]
+    messages = Messages(Settings(), all_but_spectra, wall_offset=lambda: offset_ns[-1])
+
+    def utc_s(t_s: float) -> float:
+        return datetime.fromisoformat(messages.stamp("touch", round(t_s * 1e9))[3]).timestamp()
+
+    assert utc_s(7200.0) == 7200.0
+    offset_ns.append(1_000_000)
+    assert utc_s(7201.5) == 7201.5
+    offset_ns.append(round(step_s * 1e9))
+    assert utc_s(7202.5) == 7202.5 + step_s
+    assert utc_s(7202.6) == pytest.approx(7202.6 + step_s)
 
 
 def test_spectrum(play: Callable[[str], Run], model: Model) -> None:

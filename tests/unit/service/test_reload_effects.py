@@ -133,7 +133,7 @@ def seen(scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Se
         service = Service(
             source, [sink], first, pipeline, clock=clock, control=control, read_settings=lambda: read, preroll=preroll
         )
-        service._messages._wall_offset_ns = 0
+        service._messages._wall_offset, service._messages._wall_offset_ns = lambda: 0, 0
         capsys.readouterr()
         service.run()
         preroll.close()

@@ -33,7 +33,7 @@ class Computers:
         """Return a message of so long ago."""
         self.seq += 1
         then_s = self.now_s - age_s
-        there_s = then_s * (1 + self.drift)  # the daemon reads the wall clock once
+        there_s = then_s * (1 + self.drift)  # UTC drifts with it
         t_ns = round((there_s + self.apart_s) * 1e9)
         contact = Contact(1, phase, 1.0, 2.0, 0.5, 1.0, 1.0, 0.0, 0.0)
         return TouchEvent("plate", self.seq, t_ns, (START + timedelta(seconds=there_s)).isoformat(), 1, [contact])
