@@ -1,7 +1,8 @@
 """Newest messages for any number of browsers: threads read the bus, the server's loop hands out.
 
-Nothing is too old to be shown: the page tells the age. A browser has one slot for each topic. What it did not fetch in
-time is replaced, never queued: a touch message names all fingers, so an older one tells nothing more.
+Nothing is too old to be shown: the page tells the age. The fingers of a daemon that fell silent are lifted. A browser
+has one slot for each topic. What it did not fetch in time is replaced, never queued: a touch message names all fingers,
+so an older one tells nothing more.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import structlog
 
 from touchd.client import Subscriber
 from touchd.errors import BusError, BusTimeout
-from touchd.event import Event, HealthEvent, PlateEvent, encode
+from touchd.event import Event, HealthEvent, PlateEvent, TouchEvent, encode
 
 TOPICS = ("touch", "health", "plate", "truth")
 """What every browser gets."""
@@ -30,6 +31,7 @@ MOST_CLIENTS = 32
 HISTORY = 300
 """Health messages kept: five minutes."""
 _WAIT_S = 0.25
+_NEVER_OLD_S = 1e9
 _PACE_S, _SPECTRUM_PACE_S = 0.026, 0.1
 """Between two looks at the bus: what comes meanwhile and no screen would show is not handed over."""
 
@@ -158,7 +160,7 @@ class Hub:
         assert self._loop is not None
         hand: Callable[..., object] = self._loop.call_soon_threadsafe
         pace_s = _SPECTRUM_PACE_S if topics == ASKED else _PACE_S
-        with Subscriber(self._address, topics, max_age_s=None, newest_only=True) as events:
+        with Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True) as events:
             while not stopped.is_set():
                 newest: list[Event] = []
                 try:
@@ -188,6 +190,8 @@ class Hub:
                 self.history.append(payload)
                 if event.state in ("starting", "stopping"):
                     self.keypad = None  # the new one will say
+            elif isinstance(event, TouchEvent) and not event.contacts:  # the daemon is silent
+                self._last.pop("truth", None)
             if not self._may_show("touch"):
                 for client in self._clients:
                     client.drop(PRIVATE)

@@ -193,14 +193,15 @@ def test_hidden_tab(browser: Browser, server: Web) -> None:
 
 
 def test_daemon_is_killed(browser: Browser, tmp_path: Path) -> None:
-    """A daemon that is killed leaves a greyed page that counts the seconds; the next one brings it back, and says what
-    is wrong."""
+    """A daemon that is killed leaves a greyed page without fingers, which counts the seconds; the next one brings it
+    back, and says what is wrong."""
     where = f"ipc://{tmp_path}/bus"
     with web(where) as server, bus(where) as daemon, page(browser, server.url) as opened:
         expect(opened.locator(STATUS)).to_have_text("Working")
         os.kill(daemon.pid, signal.SIGKILL)
         expect(opened.locator(STATUS)).to_contain_text("No data for")
         expect(opened.locator("main.stale")).to_have_count(1)
+        expect(opened.locator(".fingers tbody tr")).to_have_count(0)
         with bus(where, "ill"):
             expect(opened.locator(STATUS)).to_have_text("Working")
             expect(opened.locator(REASON)).to_have_text("channel 3 is dead")

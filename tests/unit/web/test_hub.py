@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
+import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 from starlette.routing import WebSocketRoute
@@ -14,9 +16,10 @@ from starlette.types import Message
 from starlette.websockets import WebSocket
 
 from tests.unit.bridges.events import contact, health, touch
-from touchd.event import Event, PlateEvent, PlateKey, SpectrumEvent
+from touchd.event import Event, PlateEvent, PlateKey, SpectrumEvent, TruthEvent, encode
+from touchd.sinks import stream
 from touchd.web.guards import Access
-from touchd.web.hub import MOST_CLIENTS, Client, Hub
+from touchd.web.hub import MOST_CLIENTS, TOPICS, Client, Hub
 from touchd.web.live import _asked, batch, routes
 from touchd.web.site import Site
 
@@ -117,6 +120,30 @@ def test_turned_into_a_keypad(hub: Hub) -> None:
     take(hub, health("starting"))
     take(hub, touch(contact(2, "move", 5.0, 5.0)))  # of a daemon that has not said yet what it is
     assert "touch" not in [message["type"] for message in handed(hub, waiting)]
+
+
+def test_a_daemon_that_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a daemon that was killed with a finger down, a page that opens later shows neither finger nor truth."""
+    monkeypatch.setattr(stream, "SILENCE_NS", 0)
+
+    async def told() -> list[dict[str, Any]]:
+        hub = Hub(f"ipc://{tmp_path}/bus")
+        with zmq.Context() as context, context.socket(zmq.XPUB) as daemon:
+            daemon.bind(f"ipc://{tmp_path}/bus")
+            hub.start()
+            for _ in TOPICS:
+                await asyncio.to_thread(daemon.recv)
+            for event in (plate(), touch(contact(1, "down", 5.0, 5.0)), TruthEvent("p", 1, 1, "", 1, [(5.0, 5.0)])):
+                daemon.send_multipart([event.type.encode(), encode(event)])
+            page = joined(hub)
+            await page.wake.wait()
+            while b'"contacts":[]' not in (hub.last("touch") or b""):
+                await asyncio.sleep(0.01)
+            await asyncio.to_thread(hub.stop)
+        return handed(hub, joined(hub))
+
+    messages = asyncio.run(asyncio.wait_for(told(), 60))
+    assert {message["type"]: message.get("contacts") for message in messages} == {"plate": None, "touch": []}
 
 
 def test_most_clients(hub: Hub) -> None:

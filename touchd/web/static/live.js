@@ -23,7 +23,10 @@ export function mount(root, page) {
       plate.set('plate', message);
       say(fingers.none, hidden() ? texts.keypad_hidden : texts.fingers.none);
     }),
-    feed.on('touch', message => plate.setContacts(message.contacts)),
+    feed.on('touch', message => {
+      plate.setContacts(message.contacts);
+      if (!message.contacts.length) forget(); // the daemon is silent
+    }),
     feed.on('truth', message => plate.set('truth', message.contacts_mm)),
     feed.on('history', message => { for (const health of message.health) for (const panel of panels) panel.past?.(health); }),
     ...['plate', 'touch', 'truth', 'health', 'spectrum'].map(type =>
