@@ -153,6 +153,8 @@ class Subscriber(Generic[E]):
                 self._socket.setsockopt(zmq.CURVE_SECRETKEY, pair.secret)
             for topic in self.topics:
                 self._socket.setsockopt(zmq.SUBSCRIBE, topic.encode())
+            if len(addresses) == 1 and endpoint.is_file(self.address):
+                endpoint.refuse_forbidden(self.address)
             for one in addresses:
                 self._connect(one)
         except BaseException:
@@ -245,9 +247,6 @@ class Subscriber(Generic[E]):
     def _connect(self, address: str) -> None:
         if address.startswith("tcp://"):
             endpoint.split(address)  # libzmq would try an impossible port for ever
-        path = address.removeprefix("ipc://")
-        if endpoint.is_file(address) and os.path.exists(path) and not os.access(path, os.W_OK):
-            raise BusError("this user may not use the socket", address, "join its group: see ls -l, and adduser")
         try:
             self._socket.setsockopt(zmq.IPV6, int("[" in address))
             self._socket.connect(address)

@@ -22,6 +22,7 @@ LOOPBACK = "tcp://127.0.0.1:5570"
 """Where a daemon publishes that nobody told where, without a service manager."""
 SERVICE = "ipc:///run/touchd/bus"
 """Where the installed service does."""
+_LONGEST_BYTES = 107
 SERVICE_GROUP = "touchd-bus"
 """Who may subscribe there; the package makes the group."""
 
@@ -78,6 +79,22 @@ def refuse_insecure(address: str) -> None:
         )
 
 
+def refuse_forbidden(address: str) -> None:
+    """Raise BusError if this user may not connect to a socket file: libzmq would try for ever. It may come later."""
+    path = address.removeprefix("ipc://")
+    try:
+        os.stat(path)
+        if os.access(path, os.W_OK, effective_ids=True):
+            return
+    except PermissionError:
+        pass
+    except (OSError, ValueError):
+        return
+    raise BusError(
+        "this user may not use the socket", address, "join the group of it and its folder: see ls -l, and adduser"
+    )
+
+
 @contextlib.contextmanager
 def private_file(address: str, group: str) -> Iterator[None]:
     """Bind an `ipc://` address within this context: it refuses a taken path; see `private_socket` for the new file.
@@ -89,6 +106,8 @@ def private_file(address: str, group: str) -> Iterator[None]:
         yield
         return
     path = Path(address.removeprefix("ipc://"))
+    if len(os.fsencode(path)) > _LONGEST_BYTES:
+        raise BusError(f"a socket's path has at most {_LONGEST_BYTES} bytes", address, "take a shorter path")
     if path.name == "*":
         raise BusError("a socket file needs a path", address, "write ipc:///run/touchd/bus, for example")
     gid = _group_id(address, group) if group else None
@@ -127,10 +146,7 @@ def _refuse_taken(address: str, path: Path) -> None:
             raise AddressInUse(
                 "a socket of another user lies there", address, "stop its owner and remove it, or bind elsewhere"
             ) from error
-        what, fix = f"the socket cannot be used ({error.strerror or error})", "check the path and its permissions"
+        what = f"the socket cannot be used ({error.strerror or error})"
         if error.errno == errno.ENOTSOCK:
-            what, fix = (
-                "there is something else than a socket, and it is not replaced",
-                "bind elsewhere, or move it away",
-            )
-        raise BusError(what, address, fix) from error
+            what = "there is something else than a socket, and it is not replaced"
+        raise BusError(what, address, "bind elsewhere, or move it away") from error

@@ -180,7 +180,7 @@ class ZeromqSink:
                     "stop it (is the daemon running already?), or set another bus.bind",
                 ) from error
             raise BusError(
-                f"cannot publish there ({error.strerror})",
+                f"cannot publish there ({zmq.strerror(error.errno or 0)})",
                 address,
                 "check that the interface or folder exists, and who may use it",
             ) from error
