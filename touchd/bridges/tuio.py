@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import socket
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from touchd.bridges.area import Area, Place
 from touchd.bridges.bridge import Down, Output
@@ -101,12 +101,16 @@ class Frames:
 
 
 class Tuio(Output):
-    """Sends the fingers on the screen to a numeric host and a port, which need not listen; TUIO has no keys."""
+    """Sends the fingers on the screen to a numeric host and a port, which need not listen; TUIO has no keys.
+
+    `say` is called with each kind of failure, once.
+    """
 
     topics = ("touch", "health")
 
-    def __init__(self, area: Area, to: tuple[str, int], name: str, now_ns: int) -> None:
-        self._to = to
+    def __init__(self, area: Area, to: tuple[str, int], name: str, now_ns: int, say: Callable[[str], object]) -> None:
+        self._to, self._say = to, say
+        self._failures: set[str] = set()
         self._socket = socket.socket(socket.AF_INET6 if ":" in to[0] else socket.AF_INET, socket.SOCK_DGRAM)
         self._area = area
         self._frames = Frames(f"touchd:{name}@{to[0]}", area.size_mm, now_ns)
@@ -140,5 +144,11 @@ class Tuio(Output):
         for each in bundles:
             try:
                 self._socket.sendto(each, self._to)
-            except OSError:  # nobody listens, or the network is down: the next frame says all again
+            except OSError as error:  # the network is down, for example: the next frame says all again
+                if (failure := error.strerror or str(error)) not in self._failures:
+                    self._failures.add(failure)
+                    self._say(
+                        f"touchd: TUIO does not reach {self._to[0]}:{self._to[1]} ({failure}), and goes on trying -> "
+                        "check the network, and IPAddressAllow= of touchd-tuio.service"
+                    )
                 return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 import time
+from functools import partial
 from pathlib import Path
 
 import click
@@ -32,7 +33,8 @@ def command(to: str | None, address: str | None, config: Path | None) -> None:
     found = load_apart(config, overrides)
     area = Area(found.input)
     where = destination(found.tuio.to, insecure=found.tuio.insecure)
-    serve(address, found.input, Tuio(area, where, found.device.name, time.monotonic_ns()), f"TUIO to {found.tuio.to}")
+    output = Tuio(area, where, found.device.name, time.monotonic_ns(), partial(click.echo, err=True))
+    serve(address, found.input, output, f"TUIO to {found.tuio.to}")
 
 
 def destination(to: str, *, insecure: bool) -> tuple[str, int]:

@@ -82,11 +82,14 @@ def test_numbers_wrap() -> None:
 
 
 def test_unreachable() -> None:
-    """An address that cannot be reached stops nothing: the network may come."""
-    area = Area(InputSettings(screen_mm=(0, 0, *SIZE_MM)))
-    source = Tuio(area, ("255.255.255.255", 3333), "plate", 0)  # which takes a right that nobody asked for
+    """An address that cannot be reached stops nothing, as the network may come, and is said once."""
+    area, said = Area(InputSettings(screen_mm=(0, 0, *SIZE_MM))), list[str]()
+    # The address takes a right that nobody asked for.
+    source = Tuio(area, ("255.255.255.255", 3333), "plate", 0, said.append)
     source.show({1: contact(1, "down")}, 0)
     source.close()
+    (line,) = said
+    assert "255.255.255.255:3333 (Permission denied)" in line
 
 
 def test_size_of_a_frame() -> None:
