@@ -110,8 +110,13 @@ class Device:
             raise
 
     def write(self, frame: bytes) -> None:
-        """Hand the kernel one frame of events, in one piece."""
-        os.write(self._fd, frame)
+        """Hand the kernel one frame of events, in one piece; raise BridgeError if it takes none."""
+        try:
+            os.write(self._fd, frame)
+        except OSError as error:
+            raise BridgeError(
+                f"takes no events ({error.strerror})", str(NODE), "start it again, and see dmesg"
+            ) from error
 
     def close(self) -> None:
         """Remove the device; further calls do nothing."""

@@ -70,6 +70,14 @@ def test_a_touch_screen(asked: Asked) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("asked")
+def test_a_kernel_that_takes_no_events(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that the kernel has taken away is named, with what to do."""
+    monkeypatch.setattr(uinput, "NODE", Path("/dev/full"))
+    with pytest.raises(BridgeError, match=r"takes no events \(No space left on device\) -> start it again"):
+        screen().write(uinput.lift_all())
+
+
 @pytest.mark.parametrize(("other", "stays"), [("input7", False), ("input100", True)])
 def test_two_at_once(asked: Asked, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: str, stays: bool) -> None:
     """Of two that start at the same time, the one that the kernel made first stays, and the other goes."""
