@@ -14,11 +14,18 @@ static int receive(void *socket, char *text, size_t size)
     return length;
 }
 
+/* Return a number of the payload by its name, with quotes and colon; -1 if there is none. */
+static long long number(const char *payload, const char *name)
+{
+    const char *field = strstr(payload, name);
+    return field ? strtoll(field + strlen(name), NULL, 10) : -1;
+}
+
 int main(int argc, char **argv)
 {
     const char *address = argc > 1 ? argv[1] : "ipc:///run/touchd/bus";
     char topic[32], payload[65536];
-    long long last_seq = -1;
+    long long last_seq = -1, last_t_ns = -1;
     void *context = zmq_ctx_new();
     void *socket = zmq_socket(context, ZMQ_SUB);
 
@@ -30,13 +37,13 @@ int main(int argc, char **argv)
 
     while (receive(socket, topic, sizeof topic) >= 0 && receive(socket, payload, sizeof payload) >= 0) {
         /* For brevity: a real program hands the payload to its JSON parser. */
-        const char *field = strstr(payload, "\"seq\":");
-        long long seq = field ? strtoll(field + strlen("\"seq\":"), NULL, 10) : -1;
-        if (seq == last_seq)
+        long long seq = number(payload, "\"seq\":"), t_ns = number(payload, "\"t_ns\":");
+        if (seq == last_seq && t_ns == last_t_ns)
             continue; /* sent once more for another subscriber's sake */
         if (last_seq >= 0 && seq > last_seq + 1)
             fprintf(stderr, "%lld messages lost\n", seq - last_seq - 1);
         last_seq = seq;
+        last_t_ns = t_ns;
         puts(payload);
         fflush(stdout);
     }

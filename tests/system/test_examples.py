@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
+from msgspec.structs import replace
 
 from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
@@ -60,7 +61,7 @@ def repeated(sink: ZeromqSink, another: Subscriber[Event]) -> Event:
 
 
 def check(sink: ZeromqSink, command: list[str], line_of: Callable[[TouchEvent], str]) -> None:
-    """Run an example, and see that it prints each touch once although the bus repeats one."""
+    """Run an example, and see that it prints each touch once: a repeat is no touch, a restarted daemon's is one."""
     with subprocess.Popen([*command, sink.addresses[0]], stdout=subprocess.PIPE, text=True) as example:
         guard = threading.Timer(PATIENCE_S, example.kill)
         guard.start()
@@ -73,6 +74,9 @@ def check(sink: ZeromqSink, command: list[str], line_of: Callable[[TouchEvent], 
                 assert repeated(sink, another).seq == 1
             sink.publish(touch(2), 0)
             assert example.stdout.readline().strip() == line_of(touch(2))
+            restarted = replace(touch(2), t_ns=99)  # another daemon's message, under the same number
+            sink.publish(restarted, 0)
+            assert example.stdout.readline().strip() == line_of(restarted)
         finally:
             guard.cancel()
             example.kill()
