@@ -160,7 +160,12 @@ class Hub:
         assert self._loop is not None
         hand: Callable[..., object] = self._loop.call_soon_threadsafe
         pace_s = _SPECTRUM_PACE_S if topics == ASKED else _PACE_S
-        with Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True) as events:
+        try:
+            events: Subscriber[Event] = Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True)
+        except BusError as error:  # it could be used at the start: another daemon has come
+            log.warning("not listened to", topics=topics, error=str(error))
+            return
+        with events:
             while not stopped.is_set():
                 newest: list[Event] = []
                 try:

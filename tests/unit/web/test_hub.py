@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 import zmq
@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from starlette.routing import WebSocketRoute
 from starlette.types import Message
 from starlette.websockets import WebSocket
+from structlog.testing import capture_logs
 
 from tests.unit.bridges.events import contact, health, touch
+from touchd.errors import BusError
 from touchd.event import Event, PlateEvent, PlateKey, SpectrumEvent, TruthEvent, encode
 from touchd.sinks import stream
 from touchd.web.guards import Access
@@ -144,6 +146,24 @@ def test_a_daemon_that_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
     messages = asyncio.run(asyncio.wait_for(told(), 60))
     assert {message["type"]: message.get("contacts") for message in messages} == {"plate": None, "touch": []}
+
+
+def test_a_bus_that_closes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an address that can be used no more the log says why, without a traceback."""
+
+    def refuse(*_arguments: object, **_options: object) -> NoReturn:
+        raise BusError("this user may not use the socket", "ipc:///nowhere", "join its group")
+
+    async def ask() -> None:
+        hub = Hub("ipc:///nowhere")
+        hub.start()
+        monkeypatch.setattr("touchd.web.hub.Subscriber", refuse)
+        hub.ask(joined(hub), frozenset({"spectrum"}))
+        hub.stop()
+
+    with capture_logs() as log:
+        asyncio.run(ask())
+    assert [line["event"] for line in log] == ["not listened to"]
 
 
 def test_most_clients(hub: Hub) -> None:
