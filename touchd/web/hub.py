@@ -187,16 +187,17 @@ class Hub:
     def _take(self, events: list[Event]) -> None:
         """Take events into the slots of all browsers; runs in the server's loop."""
         for event in events:
-            self.heard_s = time.monotonic()
             payload = encode(event)
+            if isinstance(event, TouchEvent) and not event.contacts:  # the daemon is silent
+                self._last.pop("truth", None)
+            else:
+                self.heard_s = time.monotonic()
             if isinstance(event, PlateEvent):
                 self.keypad = bool(event.keys)
             elif isinstance(event, HealthEvent):
                 self.history.append(payload)
                 if event.state in ("starting", "stopping"):
                     self.keypad = None  # the new one will say
-            elif isinstance(event, TouchEvent) and not event.contacts:  # the daemon is silent
-                self._last.pop("truth", None)
             if not self._may_show("touch"):
                 for client in self._clients:
                     client.drop(PRIVATE)

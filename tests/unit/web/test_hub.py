@@ -148,6 +148,14 @@ def test_a_daemon_that_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert {message["type"]: message.get("contacts") for message in messages} == {"plate": None, "touch": []}
 
 
+def test_a_lift_is_no_sign_of_life(hub: Hub) -> None:
+    """A finger that the subscription lifts does not shorten the silence that pages tell."""
+    take(hub, touch(contact(1, "down", 5.0, 5.0)))
+    heard_s = hub.heard_s
+    take(hub, touch())
+    assert hub.heard_s == heard_s
+
+
 def test_a_bus_that_closes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of an address that can be used no more the log says why, without a traceback."""
 
