@@ -17,10 +17,10 @@ if TYPE_CHECKING:  # a bridge does without pydantic's 20 MB
 
 
 def serve(address: str | None, settings: InputSettings, output: Output, what: str) -> None:
-    """Run a bridge until SIGTERM or SIGINT, and report to the service manager meanwhile."""
+    """Run a bridge until SIGTERM, SIGINT or SIGHUP, and report to the service manager meanwhile."""
     if settings.hold_off:
         output = HoldOff(output)
-    with stopping() as stop, closing(Notifier.from_environment()) as notifier:
+    with stopping(hangup=True) as stop, closing(Notifier.from_environment()) as notifier:
 
         def goes_on(now_ns: int) -> bool:
             notifier.ready()  # once it has subscribed

@@ -6,14 +6,17 @@ import signal
 import socket
 from pathlib import Path
 
+import pytest
+
 from tests.processes import PATIENCE_S, end, started, touchd
 from tests.system.bridges.rig import SCREEN, daemon, down
 from tests.unit.bridges.events import contact
 from tests.unit.bridges.tuioclient import Client
 
 
-def test_cursors(tmp_path: Path) -> None:
-    """Touches become cursors; silence of the daemon, and SIGTERM, remove them; the last frame is said again."""
+@pytest.mark.parametrize("ends", [signal.SIGTERM, signal.SIGHUP], ids=["SIGTERM", "its terminal closes"])
+def test_cursors(tmp_path: Path, ends: signal.Signals) -> None:
+    """Touches become cursors; silence of the daemon, and the end, remove them; the last frame is said again."""
     client = Client()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, daemon(tmp_path) as bus:
         udp.bind(("127.0.0.1", 0))
@@ -32,7 +35,7 @@ def test_cursors(tmp_path: Path) -> None:
             bus.touch(down(2))
             while not client.rows:
                 client.take(udp.recv(2000))
-            bridge.send_signal(signal.SIGTERM)
+            bridge.send_signal(ends)
             while client.rows:
                 bus.touch(contact(2, "hold"))
                 client.take(udp.recv(2000))
