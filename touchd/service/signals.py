@@ -98,10 +98,11 @@ def stop_on_signals(service: Service) -> None:
 
 
 def reload_on_hangup(service: Service) -> None:
-    """Reload the configuration on SIGHUP; a daemon in a terminal ends with it, one under nohup ignores it."""
-    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN or (sys.stdin is not None and sys.stdin.isatty()):
+    """Reload the configuration on SIGHUP; a daemon in a terminal stops in order with it, one under nohup ignores it."""
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         return
-    signal.signal(signal.SIGHUP, lambda _number, _frame: service.reload())
+    obey = service.stop if sys.stdin is not None and sys.stdin.isatty() else service.reload
+    signal.signal(signal.SIGHUP, lambda _number, _frame: obey())
 
 
 def save_on_signal(preroll: PreRoll) -> None:

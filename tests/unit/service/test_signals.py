@@ -1,4 +1,4 @@
-"""SIGTERM unwinds a verb: no half of a file stays."""
+"""SIGTERM unwinds a verb: no half of a file stays. A terminal that closes ends a daemon in order."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
+
+import pytest
 
 from tests.processes import PATIENCE_S, ROOT, environment
+from touchd.service.signals import reload_on_hangup
 
 VERB = """
 import signal, sys, tempfile
@@ -28,3 +32,17 @@ def test_nothing_stays(tmp_path: Path) -> None:
         verb.terminate()
         assert verb.wait(PATIENCE_S) == -signal.SIGTERM
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("terminal", "does"), [(True, "stop"), (False, "reload")])
+def test_hangup(monkeypatch: pytest.MonkeyPatch, terminal: bool, does: str) -> None:
+    """A daemon whose terminal closes lifts its contacts and says that it stops; a service reads its configuration."""
+    monkeypatch.setattr(sys, "stdin", Mock(isatty=lambda: terminal))
+    service, before = Mock(), signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    try:
+        reload_on_hangup(service)
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_DFL:
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert [call[0] for call in service.method_calls] == [does]
