@@ -21,6 +21,7 @@ from touchd.calibration.tap_fit import fit_taps
 from touchd.calibration.wave_correction import with_waves
 from touchd.errors import CalibrationError, TrainingError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
+from touchd.frame import Acquisition
 from touchd.localization.atlas import Atlas
 from touchd.recording.data import Recording
 from touchd.training.field.place import place
@@ -74,11 +75,11 @@ class Refined:
 def taps_of(recording: Recording, atlas: Atlas) -> Taps:
     """Return the taps of a recording: its frames of one finger with one label, averaged.
 
-    Raises CalibrationError if the recording has no labelled tap, or no untouched frame beside it, or other channels.
+    Raises CalibrationError if the recording has no labelled tap, or no untouched frame beside it, or another
+    acquisition.
     """
     a = atlas.description.acquisition
-    if recording.frames.shape[1:] != a.shape:
-        raise CalibrationError("other channels or samples than the calibration's", "--taps", "record both alike")
+    check_alike(recording, a)
     position_mm, touched, untouched = labelled(recording)
     beside = baseline_frames(recording.timestamp_ns, touched, untouched)
     new = np.flatnonzero(np.r_[True, (np.diff(touched) > 1) | (np.diff(position_mm, axis=0) != 0).any(axis=1)])
@@ -98,7 +99,19 @@ def labelled(recording: Recording) -> tuple[NDArray[np.float32], NDArray[np.int6
     try:
         return labels(recording, least=1)
     except TrainingError as error:
-        raise CalibrationError(error.what, "--taps", "record labelled touches: touchd record --label") from error
+        # Only labels beyond the plate have a place; what else is wrong takes another recording.
+        fix = error.fix if error.where else "record single taps, the plate untouched in between: touchd record --label"
+        raise CalibrationError(error.what, "--taps", fix) from error
+
+
+def check_alike(recording: Recording, acquisition: Acquisition) -> None:
+    """Raise CalibrationError if taps were sampled in another way than the untouched plate, or by another chirp."""
+    for name in ("channels", "samples", "sample_rate_hz", "chirp"):
+        of_taps, usual = getattr(recording.acquisition, name), getattr(acquisition, name)
+        if of_taps != usual:
+            raise CalibrationError(
+                f"{name} is {of_taps}, but {usual} of the untouched plate", "--taps", "record both alike"
+            )
 
 
 def orientation_of(atlas: Atlas, taps: Taps) -> int:

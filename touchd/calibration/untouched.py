@@ -68,7 +68,7 @@ def untouched_mean(recording: Recording, said: PlateFile) -> Untouched:
 
     Raises PlateTouched, PlateUnsteady, SignalClipped or PlateMismatch if the recording cannot calibrate this plate.
     """
-    _check_geometry(recording, said)
+    check_geometry(recording, said)
     frames = recording.frames
     if len(frames) < LEAST_FRAMES:
         raise PlateUnsteady(f"{len(frames)} frames", "recording", f"record some ten seconds; {LEAST_FRAMES} at least")
@@ -139,12 +139,13 @@ def check_chirp(acquisition: Acquisition, where: str) -> None:
         )  # fmt: skip
 
 
-def _check_geometry(recording: Recording, said: PlateFile) -> None:
-    check_chirp(recording.acquisition, "recording")
+def check_geometry(recording: Recording, said: PlateFile, where: str = "recording") -> None:
+    """Raise PlateMismatch unless a recording can be of the plate that PLATE.toml describes."""
+    check_chirp(recording.acquisition, where)
     channels, receivers = recording.frames.shape[1], len(said.discs.receivers_mm)
     if channels != receivers:
         raise PlateMismatch(
-            f"{channels} channels, but {receivers} receivers in PLATE.toml", "recording",
+            f"{channels} channels, but {receivers} receivers in PLATE.toml", where,
             "list each channel's receiver, in the order of the channels",
         )  # fmt: skip
     taken, plate = recording.meta.plate, said.plate
@@ -152,7 +153,7 @@ def _check_geometry(recording: Recording, said: PlateFile) -> None:
         was, is_said = getattr(taken, key), getattr(plate, key)
         if abs(was - is_said) > MOST_APART * is_said:
             raise PlateMismatch(
-                f"{key} is {was:g}, but {is_said:g} in PLATE.toml", "recording",
+                f"{key} is {was:g}, but {is_said:g} in PLATE.toml", where,
                 "correct the wrong one: PLATE.toml, or record again (--plate WIDTHxHEIGHTxTHICKNESS)",
             )  # fmt: skip
 

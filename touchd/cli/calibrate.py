@@ -69,7 +69,8 @@ def command(
     """
     from touchd.calibration.calibrate import fit_recording, make_model, write_calibration_report
     from touchd.calibration.plate_file import read_plate_file
-    from touchd.calibration.taps import labelled
+    from touchd.calibration.taps import check_alike, labelled
+    from touchd.calibration.untouched import check_geometry
     from touchd.cli.progress import Bars
     from touchd.config.load import load
     from touchd.recording.format import read
@@ -82,12 +83,15 @@ def command(
     said = read_plate_file(plate_file)
     taps = read(taps_file) if taps_file else None
     if taps is not None:
-        labelled(taps)  # refused before the fit
+        labelled(taps)  # refused before frames are taken
+        check_geometry(taps, said, "--taps")
     if recording is not None:
         frames = read(recording)
     else:
         choice = SourceChoice(simulate=simulate, speed=float("inf") if simulate else 1.0, ni=ni, audio=audio)
         frames = _take(load(config), choice, said, seconds)
+    if taps is not None:
+        check_alike(taps, frames.acquisition)
     given = recording.name if recording else ""
     line = f"touchd calibrate {given} -o {output.name} --plate {plate_file.name}".replace("  ", " ")
     with Bars() as bars:

@@ -16,6 +16,7 @@ from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
 from touchd.calibration.untouched import Untouched
 from touchd.errors import (
+    CalibrationError,
     OutputError,
     PlateFileInvalid,
     PlateMismatch,
@@ -26,7 +27,7 @@ from touchd.errors import (
     SignalClipped,
     TouchdError,
 )
-from touchd.frame import Plate
+from touchd.frame import Chirp, Plate
 from touchd.localization.model import Model
 from touchd.localization.model_file import previous_path
 from touchd.recording.data import Recording
@@ -219,6 +220,41 @@ def test_hostile(name: str, idle: Recording, tmp_path: Path) -> None:
     assert done.code == error.exit_code, done.err
     assert " -> " in done.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["PLATE.toml", "r.npz"]
+
+
+def test_hostile_taps(idle: Recording, small: Instrument, tmp_path: Path) -> None:
+    """Taps that tell nothing of this plate are refused before the fit, with a remedy for what is wrong with them."""
+    taps = simulate_touches(12, instrument=small, seed=6, margin_mm=8.0)
+    meta, labels = taps.meta, taps.contacts_mm
+    assert labels is not None
+    hostile = {
+        "touchd record --label": replace(taps, contacts_mm=None),
+        "no untouched frame": cut(taps, np.flatnonzero(np.isfinite(labels[:, 0, 0]))),
+        "correct the positions": replace(taps, contacts_mm=labels + np.float32(60)),
+        "samples is 200, but": replace(taps, frames=taps.frames[:, :, :200].copy()),
+        "sample_rate_hz is": replace(taps, meta=meta.model_copy(update={"sample_rate_hz": 1.5 * meta.sample_rate_hz})),
+        "chirp is": replace(taps, meta=meta.model_copy(update={"chirp": Chirp(start_hz=30e3)})),
+        "width_mm is 300": other_plate(taps),
+    }
+    write(tmp_path / "r.npz", idle)
+    (tmp_path / "PLATE.toml").write_text(SAID)
+    for problem, recording in hostile.items():
+        write(tmp_path / "taps.npz", recording)
+        done = touchd("calibrate", "r.npz", "-o", "m.onnx", "--plate", "PLATE.toml", "--taps", "taps.npz", cwd=tmp_path)
+        assert done.code in (CalibrationError.exit_code, PlateMismatch.exit_code), problem
+        assert problem in done.err
+        assert "--taps: " in done.err
+        assert "100/100" not in done.err, "the plate was fitted first"
+    assert not (tmp_path / "m.onnx").exists()
+
+
+def cut(recording: Recording, frames: np.ndarray) -> Recording:
+    """Return these frames of a recording with their labels."""
+    assert recording.contacts_mm is not None
+    return Recording(
+        recording.meta, recording.frames[frames], recording.sequence[frames], recording.timestamp_ns[frames],
+        recording.contacts_mm[frames],
+    )  # fmt: skip
 
 
 def test_names(idle: Recording, tmp_path: Path) -> None:
