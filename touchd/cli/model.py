@@ -13,8 +13,8 @@ from touchd.cli.options import PATH, config_option
 from touchd.cli.screen import socket_option
 from touchd.config.load import load
 from touchd.config.schema import Settings
-from touchd.errors import BusError, ModelError
-from touchd.service.control import SERVICE_PATH, path_of, send
+from touchd.errors import ModelError
+from touchd.service.control import SERVICE_PATH, path_of, take_model
 
 if TYPE_CHECKING:
     from touchd.localization.model import Model
@@ -28,7 +28,7 @@ def command(ctx: click.Context, config: Path | None, socket_path: Path | None) -
     """Change the model of the daemon.
 
     The model is the file that model.path names, or else one in the service's state directory, or yours. A running
-    daemon takes it without a restart.
+    daemon takes it without a restart, or says why not.
     """
     settings = load(config)
     ctx.obj = settings, socket_path or path_of(settings.control) or SERVICE_PATH
@@ -64,16 +64,9 @@ def _replace(found: tuple[Settings, Path], by: Callable[[Path], Model]) -> None:
     with suppress(ModelError):  # one that is unusable may be replaced
         before = Model(target, atlas=False).description.acquisition
     model = by(target)
-    click.echo(f"{target}: {model.description.name}; {_tell(socket_path)}")
-    if before is not None and model.description.acquisition != before:
+    taken = take_model(socket_path, target)
+    told = "the running daemon uses it" if taken else "no daemon runs there, the next one takes it"
+    click.echo(f"{target}: {model.description.name}; {told}")
+    if not taken and before is not None and model.description.acquisition != before:
         click.echo("it takes other frames than the one before: should the daemon refuse it, touchd model rollback",
                    err=True)  # fmt: skip
-
-
-def _tell(socket_path: Path) -> str:
-    """Have a running daemon take the model, and say whether one does."""
-    try:
-        send(socket_path, "reload")
-    except BusError:
-        return "no daemon runs there, the next one takes it"
-    return "the running daemon is told to take it"

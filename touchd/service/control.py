@@ -1,7 +1,8 @@
 """Takes commands from other programs: datagrams at a socket in the file system.
 
-One datagram is one command, in ASCII: `screen off`, `screen on`, `reload`, and `frames` with a socket for them. Whoever
-may write to the file may command; frames, which can reveal a PIN, are for the daemon's own user and root alone.
+One datagram is one command, in ASCII: `screen off`, `screen on`, `reload`, which may bring a socket for the answer, and
+`frames` with a socket for them. Whoever may write to the file may command; frames, which can reveal a PIN, are for the
+daemon's own user and root alone.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import struct
 from pathlib import Path
 
 from touchd.config.schema import ControlSettings
-from touchd.errors import AddressInUse, BusError, ConfigError
+from touchd.errors import AddressInUse, BusError, BusTimeout, ConfigError, ModelError
 from touchd.files import clear_socket, private_socket, runtime_folder
 from touchd.sinks.throttle import Throttle
 
@@ -25,6 +26,8 @@ SERVICE_PATH = Path("/run/touchd/control")
 """The socket of the service that the package installs."""
 _LONGEST_BYTES = 64
 _PATIENCE_S = 2.0  # a daemon that hangs leaves its queue full
+_LOADED_S = 10.0  # of a reload: a slow computer loads a model for seconds
+_MOST_SAID = 4000
 _MOST_PER_POLL = 16  # a flood of commands must not hold up a frame
 _MOST_FDS = 4
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
@@ -53,6 +56,59 @@ def send(path: Path, command: str) -> None:
         ) from error
 
 
+def converse(path: Path, command: bytes) -> socket.socket:
+    """Send a command with one end of a pair of sockets, and return the other, where the daemon answers.
+
+    Raises FileNotFoundError or ConnectionRefusedError if no daemon listens, another OSError if it cannot be asked.
+    """
+    mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        with its, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.settimeout(_PATIENCE_S)
+            sender.connect(str(path))
+            socket.send_fds(sender, [command], [its.fileno()])
+    except OSError:
+        mine.close()
+        raise
+    return mine
+
+
+def take_model(path: Path, model: Path) -> bool:
+    """Have the daemon that listens at `path` take a model that was put in its place; return False if none listens.
+
+    Raises ModelError if the daemon refuses the model, or uses another; BusTimeout if it does not answer in time;
+    BusError if this user may not command it.
+    """
+    log = "see its log: journalctl -u touchd"
+    try:
+        with converse(path, b"reload") as daemon:
+            daemon.settimeout(_LOADED_S)
+            outcome, _, text = daemon.recv(4 * _MOST_SAID).decode(errors="surrogatepass").partition(" ")
+    except (FileNotFoundError, ConnectionRefusedError):
+        return False
+    except TimeoutError as error:
+        raise BusTimeout(f"{model} is there, but the running daemon has not taken it so far", str(path), log) from error
+    except OSError as error:
+        raise BusError(
+            f"{model} is there, but the running daemon cannot be told ({error.strerror or error})", str(path),
+            "systemctl reload touchd, or restart it",
+        ) from error  # fmt: skip
+    if outcome == "refused":
+        raise ModelError(
+            f"the running daemon refuses it, and uses what it used before ({text})", str(model),
+            "mend that, or go back: touchd model rollback",
+        )  # fmt: skip
+    if outcome != "taken":
+        raise BusError(
+            f"{model} is there, but the running daemon has ended, or is older than this touchd", str(path), log
+        )
+    if text != os.path.realpath(model):
+        raise ModelError(
+            f"the running daemon uses {text or 'none'}", str(model), "give the daemon and this command one model.path"
+        )
+    return True
+
+
 class Control:
     """The daemon's end, which replaces a socket that a dead daemon left behind.
 
@@ -64,6 +120,7 @@ class Control:
         self.path = path
         self.listeners: list[socket.socket] = []
         """Sockets that came with the commands `frames`, in order: take them from here."""
+        self._asking: list[socket.socket] = []
         self._refused = Throttle("no such command, or not for this user")
         _clear(path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
@@ -92,18 +149,29 @@ class Control:
                 found.append(command)
             elif command in COMMANDS and command != "frames":
                 found.append(command)
+                if command == "reload":
+                    self._asking += handed
+                    continue
             else:
                 self._refused.warn(known=COMMANDS)
             for unwanted in handed:
                 unwanted.close()
         return found
 
+    def answer(self, refused: str, model: Path | None) -> None:
+        """Tell those who asked for a reload why it was refused, or which model is in use after it."""
+        said = f"refused {refused}" if refused else f"taken {os.path.realpath(model) if model else ''}"
+        asking, self._asking = self._asking, []
+        for each in asking:
+            with contextlib.suppress(OSError), each:  # whoever is gone, or hangs, misses it
+                each.send(said[:_MOST_SAID].encode(errors="surrogatepass"), socket.MSG_DONTWAIT)
+
     def close(self) -> None:
         """Stop listening and remove the socket; further calls do nothing."""
         if self._socket.fileno() < 0:
             return
-        for listener in self.listeners:
-            listener.close()
+        for handed in (*self.listeners, *self._asking):
+            handed.close()
         # Only this daemon's own file: another one may have taken the path meanwhile.
         with contextlib.suppress(OSError):
             if self._socket.getsockname() == str(self.path):

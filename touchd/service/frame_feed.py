@@ -20,7 +20,7 @@ from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import BusError, SourceError
 from touchd.frame import Acquisition, Description, Frame, Plate
 from touchd.recording.data import Device, Meta
-from touchd.service.control import SERVICE_PATH, path_of
+from touchd.service.control import SERVICE_PATH, converse, path_of
 from touchd.sources.open import SourceChoice
 from touchd.sources.source import Source
 
@@ -161,20 +161,14 @@ def open_daemon(control: Path) -> DaemonSource | None:
 
     Raises BusError if it hands out no frames.
     """
-    mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    mine.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
     try:
-        with its, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-            sender.settimeout(_ANSWER_S)
-            sender.connect(str(control))
-            socket.send_fds(sender, [COMMAND], [its.fileno()])
+        mine = converse(control, COMMAND)
     except (FileNotFoundError, ConnectionRefusedError):
-        mine.close()
         return None
     except OSError as error:
-        mine.close()
         raise BusError(
             f"the running daemon cannot be asked for frames ({error.strerror or error})", str(control),
             "run this as the daemon's own user or as root",
         ) from error  # fmt: skip
+    mine.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
     return DaemonSource(mine)

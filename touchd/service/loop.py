@@ -206,12 +206,15 @@ class Service:
         self._reload_asked = False
         if self._reloader is not None:
             self._manager.reloading()
-            self._reloader.reload()
+            refused = self._reloader.reload()
             self._manager.reloaded()
             self._flowing = "streaming" if self.pipeline.model else "uncalibrated"
             self._publish_plate()
             if self._feed is not None:
                 self._feed.configured()
+            if self._control is not None:
+                model = self.pipeline.model
+                self._control.answer(refused, model.path if model else None)
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off

@@ -77,24 +77,24 @@ class Reloader:
         self._signature = signature_in_use(settings, pipeline.model)
         self._pipeline, self._messages, self._health, self._preroll = pipeline, messages, health, preroll
 
-    def reload(self) -> None:
+    def reload(self) -> str:
         """Read the configuration and apply what can change while the daemon runs; a wrong one changes nothing.
 
-        Nothing is raised: neither a mistake in a file nor a part that cannot take a value must end a daemon that works.
+        Return what is wrong, empty if all is taken. Nothing is raised: neither a mistake in a file nor a part that
+        cannot take a value must end a daemon that works.
         """
         try:
             changes = compare(self.settings, self._read())
             self._take(changes.settings)
         except Exception as error:
             expected = isinstance(error, TouchdError)
-            log.error(
-                "the configuration is wrong, the old one stays in use",
-                error=str(error) if expected else repr(error), exc_info=not expected,
-            )  # fmt: skip
-            return
+            wrong = str(error) if expected else repr(error)
+            log.error("the configuration is wrong, the old one stays in use", error=wrong, exc_info=not expected)
+            return wrong
         log.info("configuration read again", taken=changes.taken)
         if changes.waiting:
             log.warning("settings that wait for a restart", waiting=changes.waiting)
+        return ""
 
     def _take(self, new: Settings) -> None:
         pipeline, signature = self._pipeline, signature_of(new)

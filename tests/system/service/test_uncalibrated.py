@@ -57,7 +57,7 @@ def test_first_run(tmp_path: Path) -> None:
         frames = read(taken).frames
         assert len(frames) == 100
         assert all(frame.tobytes() in known for frame in np.asarray(frames))
-        assert "the running daemon is told to take it" in model("install", SHIPPED)
+        assert "the running daemon uses it" in model("install", SHIPPED)
         until(events, in_state("streaming", "best"))
         until(events, is_touch)
         model("install", SHIPPED.with_name("small.onnx"))

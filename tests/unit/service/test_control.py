@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import select
 import socket
 import stat
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -17,8 +21,9 @@ from structlog.testing import capture_logs
 
 from touchd.cli.screen import command
 from touchd.config.schema import ControlSettings
-from touchd.errors import AddressInUse, BusError, ConfigError
-from touchd.service.control import Control, path_of, send
+from touchd.errors import AddressInUse, BusError, BusTimeout, ConfigError, ModelError
+from touchd.service import control as control_module
+from touchd.service.control import Control, converse, path_of, send, take_model
 
 
 @pytest.fixture
@@ -46,6 +51,67 @@ def test_the_verb_says_what_the_daemon_hears(control: Control) -> None:
         done = CliRunner().invoke(command, [state, "--socket", str(control.path)], obj={"config": None})
         assert (done.exit_code, done.output) == (0, "")
     assert control.poll() == ["screen off", "screen on"]
+
+
+@contextmanager
+def answering(control: Control, *answer: Any) -> Iterator[None]:
+    """A daemon that reloads once, and gives an answer, or ends without one."""
+
+    def run() -> None:
+        while control.poll() != ["reload"]:
+            select.select([control._socket], [], [], 1.0)
+        control.answer(*answer) if answer else control.close()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    yield
+    thread.join()
+
+
+def test_model(control: Control, tmp_path: Path) -> None:
+    """Who installs a model hears whether the daemon uses it, and else why not."""
+    model = tmp_path / "plate.onnx"
+    (tmp_path / "link.onnx").symlink_to(model)
+    with answering(control, "", model):
+        assert take_model(control.path, tmp_path / "link.onnx") is True
+    for answer, problem in (
+        (("it takes other frames -> train one" * 1000, None), "refuses it.*it takes other frames"),
+        (("", tmp_path / "other.onnx"), "the running daemon uses .*other.onnx"), (("", None), "uses none"),
+    ):  # fmt: skip
+        with answering(control, *answer), pytest.raises(ModelError, match=problem) as failed:
+            take_model(control.path, model)
+        assert failed.value.fix
+    with answering(control), pytest.raises(BusError, match="has ended"):
+        take_model(control.path, model)
+    assert take_model(control.path, model) is False, "no daemon"
+
+
+def test_model_without_an_answer(control: Control, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A daemon that hangs, also with its queue full, holds nobody up for ever; one that may not be told is named."""
+    monkeypatch.setattr(control_module, "_LOADED_S", 0.01)
+    monkeypatch.setattr(control_module, "_PATIENCE_S", 0.01)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        sender.setblocking(False)
+        for _ in range(2):
+            with pytest.raises(BusTimeout, match="has not taken it so far"):
+                take_model(control.path, tmp_path / "m.onnx")
+            with suppress(BlockingIOError):
+                while True:
+                    sender.sendto(b"screen on", str(control.path))
+    with pytest.raises(BusError, match="cannot be told"):
+        take_model(tmp_path / ("long" * 40), tmp_path / "m.onnx")
+
+
+def test_askers_that_are_gone(control: Control) -> None:
+    """Nobody who asks can hold the daemon up: who is gone or reads nothing misses the answer."""
+    gone, deaf = converse(control.path, b"reload"), converse(control.path, b"reload")
+    gone.close()
+    assert control.poll() == ["reload", "reload"]
+    for _ in range(2):
+        control.answer("why", None)
+    assert deaf.recv(100) == b"refused why"
+    assert deaf.recv(100) == b"", "the socket is closed"
+    deaf.close()
 
 
 def test_a_flood(control: Control) -> None:

@@ -13,7 +13,7 @@ import pytest
 from touchd.errors import BusError, SourceError
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.service import control as module
-from touchd.service.control import Control, send
+from touchd.service.control import Control, converse, send
 from touchd.service.frame_feed import COMMAND, MOST_LISTENERS, DaemonSource, FeedDescription, FrameFeed, open_daemon
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
@@ -41,10 +41,7 @@ def control(tmp_path: Path) -> Iterator[Control]:
 
 def ask(control: Control) -> tuple[socket.socket, list[str]]:
     """Ask for frames as `open_daemon` does, and have the daemon read the command."""
-    mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with its, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-        sender.connect(str(control.path))
-        socket.send_fds(sender, [COMMAND], [its.fileno()])
+    mine = converse(control.path, COMMAND)
     return mine, control.poll()
 
 

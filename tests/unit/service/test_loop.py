@@ -356,7 +356,7 @@ class Commands(Control):
 
     def __init__(self, clock: Clock, due: dict[int, str]) -> None:
         self.listeners, self.polls = [], 0
-        self._clock, self._due = clock, due
+        self._clock, self._due, self._asking = clock, due, []
 
     def poll(self) -> list[str]:
         self.polls += 1

@@ -13,6 +13,7 @@ from tests.conftest import Scene
 from tests.unit.service.bench import PERIOD_NS, Clock, Keeper, Script
 from touchd.config.render import fields
 from touchd.config.schema import Settings
+from touchd.errors import ConfigError
 from touchd.frame import Frame
 from touchd.keypad import PHONE
 from touchd.localization.model import Model, default_model_path
@@ -82,11 +83,15 @@ class Commands(Control):
 
     def __init__(self) -> None:
         self.queue: list[str] = []
+        self.answers: list[tuple[str, Path | None]] = []
         self.listeners = []
 
     def poll(self) -> list[str]:
         taken, self.queue = self.queue, []
         return taken
+
+    def answer(self, refused: str, model: Path | None) -> None:
+        self.answers.append((refused, model))
 
 
 class Timed(Script):
@@ -173,6 +178,23 @@ def test_taken_key_changes_what_is_seen(key: str, seen: Seen, tmp_path: Path) ->
     elif value == "elsewhere":
         value = tmp_path / "saved" / "elsewhere"
     assert seen(case, {table: {name: value}}) != seen(case, {})
+
+
+def test_answer(scene: Scene, model: Model) -> None:
+    """Whoever asked for a reload hears which model is in use, or why the old settings stay."""
+    recording, clock, control = scene("idle"), Clock(), Commands()
+    steps = [Frame(counts, i, 0, 0) for i, counts in enumerate(recording.frames[:60])]
+    ask: list[Callable[[], object]] = [lambda: control.queue.append("reload")]
+
+    def read() -> Settings:
+        if control.answers:
+            raise ConfigError("is no number", "health.period_s", "correct it")
+        return Settings()
+
+    pipeline = Pipeline(recording.acquisition, model, Settings())
+    source = Timed(recording, steps, clock, calls={10: ask, 30: ask})
+    Service(source, [Keeper(clock)], Settings(), pipeline, clock=clock, control=control, read_settings=read).run()
+    assert control.answers == [("", model.path), ("health.period_s: is no number -> correct it", model.path)]
 
 
 def test_every_taken_key_has_a_case() -> None:

@@ -6,7 +6,6 @@ previous one, which `touchd model rollback` knows, however many fits are tried.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import subprocess
@@ -18,9 +17,9 @@ from typing import Any
 
 from touchd.calibration.wizard.frames import Progress, Stopped
 from touchd.calibration.wizard.state import State
-from touchd.errors import BusError, CalibrationError, ModelMissing, PlatePoor, TrainingError
+from touchd.errors import CalibrationError, ModelMissing, PlatePoor, TrainingError
 from touchd.localization.model_file import digest, install, previous_path
-from touchd.service.control import send
+from touchd.service.control import take_model
 
 LOG_LINES = 40
 """Of a verb's output, kept for the page."""
@@ -108,14 +107,14 @@ class Trial:
         self._state, self._target, self._control = state, target, control
 
     def begin(self, model: Path) -> None:
-        """Put a model in use; the one from before the first try is kept."""
+        """Put a model in use; the one from before the first try is kept. See `take_model` for what a daemon refuses."""
         if self._state["before"] is None:  # first: whoever is killed in between goes back to what runs
             self._state.set(before=digest(self._target))
         try:
             install(model, self._target, keep=digest(self._target) == self._state["before"])
         finally:
             self.look()
-        self._reload()
+        take_model(self._control, self._target)
 
     def take(self) -> None:
         """End the trial: its model stays in use."""
@@ -136,7 +135,7 @@ class Trial:
             install(kept, self._target, keep=False)  # not exchanged: a copy of it is on disk at any time
         self._state.set(before=None)
         self.look()
-        self._reload()
+        take_model(self._control, self._target)
 
     def others(self) -> dict[str, Path]:
         """Return where the models are to compare a fit with: the old one, and one that was tried before it."""
@@ -154,7 +153,3 @@ class Trial:
         of = {digest(self._state.trained): "trained", digest(self._state.model): "fitted"}
         runs = of.get(now, "before" if before is None else "earlier") if now else ""
         self._state.set(before=before, runs=runs)
-
-    def _reload(self) -> None:
-        with contextlib.suppress(BusError):  # the next daemon takes it
-            send(self._control, "reload")

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
+from unittest.mock import Mock
 
 import pytest
 import structlog
@@ -23,7 +24,7 @@ from touchd.calibration.wizard import worker as worker_module
 from touchd.calibration.wizard.state import NOTHING, State
 from touchd.calibration.wizard.worker import Worker, serve
 from touchd.cli.main import main
-from touchd.errors import CalibrationError, OutputError
+from touchd.errors import CalibrationError, ModelError, OutputError
 from touchd.localization.model_file import install
 from touchd.service.systemd import Notifier
 
@@ -217,3 +218,20 @@ def test_refused_model(before: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     said = worker.answer({"do": "try"})
     assert said == {"ok": False, "problem": "/x/plate: a model's name ends in .onnx", "fix": "correct model.path"}
     assert state.all() == known
+
+
+def test_model_that_the_daemon_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A daemon's refusal of a model on trial is shown with the reason, and one can go back."""
+    worker, state = made(tmp_path)
+    install(SHIPPED, state.model)
+    install(SHIPPED.with_name("small.onnx"), tmp_path / "model.onnx")
+    worker.resume()
+    with monkeypatch.context() as refusing:
+        refused = ModelError("the running daemon refuses it (other frames)", "/x/plate.onnx", "go back")
+        refusing.setattr(models, "take_model", Mock(side_effect=refused))
+        said = worker.answer({"do": "try"})
+    assert said == {"ok": False, "problem": "/x/plate.onnx: the running daemon refuses it (other frames)",
+                    "fix": "go back"}  # fmt: skip
+    assert (state["runs"], bool(state["before"])) == ("fitted", True)
+    assert worker.answer({"do": "rollback"}) == {"ok": True}
+    assert state["runs"] == "before"
