@@ -129,6 +129,17 @@ def replacing(path: Path, *, mode: int = 0o644, fix: str = CHECK, fresh: bool = 
         flush(path.parent)
 
 
+def is_missing(path: Path) -> bool:
+    """Return whether nothing is at a path; what this user may not look at is not missing: to open it says why."""
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return True
+    except OSError:
+        pass
+    return False
+
+
 def flush(path: str | Path) -> None:
     """Have a file, or a folder's names, on disk."""
     handle = os.open(path, os.O_RDONLY)

@@ -122,6 +122,7 @@ def touchd(
     import structlog
 
     from touchd.config.load import Retired, empty_file, load
+    from touchd.files import is_missing
     from touchd.service.daemon import run
     from touchd.service.log import configure
 
@@ -135,7 +136,7 @@ def touchd(
     if bind:
         overrides["bus"] = {"bind": bind}
     if model:
-        if not os.path.exists(model):  # a path in the configuration may wait for its file, uncalibrated
+        if is_missing(model):  # a path in the configuration may wait for its file, uncalibrated
             raise ModelMissing("no such model", str(model), "check the path")
         overrides["model"] = {"path": model}
     if debug:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import ModelInvalid, ModelMismatch, ModelMissing
-from touchd.files import stamps_of
+from touchd.files import is_missing, open_file, stamps_of
 from touchd.frame import HANN, Acquisition, Plate
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
@@ -246,8 +246,12 @@ _READERS = {"regression": _read_regression, "grid": _read_grid, "keypad": _read_
 
 def _load(path: Path) -> Any:
     """Return an inference session on one thread that does not spin."""
-    if not os.path.isfile(path):  # unlike Path.is_file it is false also where nobody may look
-        raise ModelMissing("no such model", str(path), "check the path; touchd calibrate makes a model")
+    try:
+        open_file(path).close()
+    except (OSError, ValueError) as error:
+        why = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        what = "no such model" if is_missing(path) else f"cannot be read ({why})"
+        raise ModelMissing(what, str(path), "check the path; touchd calibrate makes a model") from error
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from touchd.errors import ModelInvalid, ModelMissing, OutputError, RecordingError
-from touchd.files import open_file, replacing, writing
+from touchd.files import is_missing, open_file, replacing, writing
 from touchd.localization.model import Model
 from touchd.recording.format import Reader
 
@@ -35,12 +35,16 @@ def put_model(content: bytes, path: Path) -> Model:
 
 
 def digest(model: Path) -> str:
-    """Return what tells a model with what lies beside it from others; empty if there is none."""
-    if not model.exists():
-        return ""
+    """Return what tells a model with what lies beside it from others; empty if there is none.
+
+    Raises OutputError if it may not be read, and so not be replaced either.
+    """
     found = hashlib.sha256()
-    for file in (model.with_suffix(suffix) for suffix in BESIDE):
-        found.update(_content(file) if file.exists() else b"none")
+    with writing(model):
+        if not model.exists():
+            return ""
+        for file in (model.with_suffix(suffix) for suffix in BESIDE):
+            found.update(_content(file) if file.exists() else b"none")
     return found.hexdigest()
 
 
@@ -96,8 +100,8 @@ def rollback(target: Path) -> Model:
         The files cannot be written.
     """
     previous = previous_path(target)
-    if not previous.exists():
-        why = "no other model was installed before" if target.exists() else "no model is installed"
+    if is_missing(previous):
+        why = "no model is installed" if is_missing(target) else "no other model was installed before"
         raise ModelMissing(f"nothing to go back to: {why}", str(target), "install one: touchd model install FILE")
     return install(previous, target)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import faulthandler
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -16,6 +15,7 @@ import structlog
 
 from touchd.config.schema import Settings
 from touchd.errors import SourceError
+from touchd.files import is_missing
 from touchd.keypad import Layout
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
@@ -48,7 +48,7 @@ def log_notice(reason: str, fields: dict[str, float]) -> None:
 def find_model(settings: Settings) -> Model | None:
     """Return the model in use; None if the settings name one that is not there yet: the daemon is uncalibrated."""
     path = settings.model.path
-    return None if path is not None and not os.path.lexists(path) else load_model(settings)
+    return None if path is not None and is_missing(path) else load_model(settings)
 
 
 @dataclass(slots=True)

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from touchd.config.schema import Settings
 from touchd.errors import ModelInvalid, ModelMissing, OutputError
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
-from touchd.localization.model_file import install, previous_path, put_model, rollback
+from touchd.localization.model_file import digest, install, previous_path, put_model, rollback
+from touchd.service.daemon import find_model
 
 SHIPPED = default_model_path()
 SMALL = SHIPPED.with_name("small.onnx")
@@ -67,6 +69,22 @@ def test_nothing_to_go_back_to(target: Path) -> None:
     with pytest.raises(ModelMissing, match="no other model was installed before"):
         rollback(target)
     assert Model(target).description.name == "small"
+
+
+def test_unreadable(tmp_path: Path) -> None:
+    """A model that is there and cannot be looked at is not said to be missing, and ends in no internal error."""
+    unseen = tmp_path / f"{'long' * 70}.onnx"
+    with pytest.raises(ModelMissing, match=r"cannot be read \(File name too long\)"):
+        Model(unseen)
+    with pytest.raises(ModelMissing, match="cannot be read"):
+        find_model(Settings.model_validate({"model": {"path": unseen}}))
+    for work in (rollback, digest):
+        with pytest.raises((ModelMissing, OutputError), match="too long"):
+            work(unseen)
+    with pytest.raises(ModelMissing, match="cannot be read"):
+        Model(tmp_path)
+    with pytest.raises(ModelMissing, match="no such model"):
+        Model(tmp_path / "none.onnx")
 
 
 def test_unusable(target: Path, tmp_path: Path) -> None:
