@@ -152,7 +152,7 @@ def devices_at(phys: str) -> list[str]:
     found = []
     for file in DEVICES.glob("input*/phys"):
         with contextlib.suppress(OSError):  # it went meanwhile
-            if file.read_text().strip() == phys:
+            if file.read_text(errors="replace").strip() == phys:
                 found.append(file.parent.name)
     return found
 

@@ -77,13 +77,13 @@ def examine(settings: DeviceSettings, system: Path = SYSTEM) -> list[Finding]:
             return [Finding("device", "failure", f"{ids} has serial number {', '.join(map(repr, serials))}, "
                             f"not {settings.serial!r}", "correct device.serial")]  # fmt: skip
     device = found[0]
-    bus, address = int(read(device / "busnum") or 0), int(read(device / "devnum") or 0)
+    bus, address = (read(device / number).zfill(3) for number in ("busnum", "devnum"))
     name = " ".join(filter(None, (read(device / "product"), read(device / "serial"))))
-    text = f"{ids} {name} on bus {bus:03d} address {address:03d}"
+    text = f"{ids} {name} on bus {bus} address {address}"
     several = f"; {len(found)} such devices, touchd uses the first" if len(found) > 1 else ""
     findings = [
         Finding("device", "warning", text + several, "set device.serial") if several else Finding("device", "ok", text),
-        check_permissions(system / f"dev/bus/usb/{bus:03d}/{address:03d}"),
+        check_permissions(system / f"dev/bus/usb/{bus}/{address}"),
     ]
     try:
         findings.append(check_descriptors((device / "descriptors").read_bytes(), read(device / "speed")))

@@ -67,11 +67,7 @@ def _permitted() -> Finding:
 def _tagged(name: str) -> Finding:
     """Check what udev has found the device to be: compositors go by it."""
     for file in (uinput.DEVICES / name).glob("event*/dev"):
-        try:
-            said = (UDEV / f"c{file.read_text().strip()}").read_text()
-        except OSError:
-            continue
-        if "E:ID_INPUT_TOUCHSCREEN=1\n" in said or "E:ID_INPUT_KEY=1\n" in said:
+        if {"E:ID_INPUT_TOUCHSCREEN=1", "E:ID_INPUT_KEY=1"} & {*read(UDEV / f"c{read(file)}").split("\n")}:
             return Finding("screen", "ok", f"{name} exists, tagged by udev: {file.parent.name}")
     return Finding("screen", "failure", f"{name} is there, and udev has not tagged it: no compositor takes it",
                    f"udevadm trigger --action=change /sys/class/input/{name}; is udev running?")  # fmt: skip

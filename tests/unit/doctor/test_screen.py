@@ -122,3 +122,12 @@ def test_confined(system: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert found[name].level == "warning"
         assert "from here" in found[name].text
         assert found[name].fix.endswith("sudo touchd doctor")
+
+
+def test_other_devices_names(system: Path) -> None:
+    """What other devices are called, in no encoding, ends no examination, nor does it in udev's notes of this one."""
+    device(system, "")
+    (system / "udev/c13:69").write_bytes(b"E:NAME=\xff\nE:ID_INPUT_TOUCHSCREEN=1\n")
+    (system / "devices/input8").mkdir()
+    (system / "devices/input8/phys").write_bytes(b"\xff\xfe\n")
+    assert levels(**MAPPED)["screen"] == "ok"

@@ -71,6 +71,14 @@ def test_a_node_that_is_not_there_fails(tmp_path: Path) -> None:
     assert levels(tmp_path)[1] == ("permissions", "failure")
 
 
+def test_a_damaged_entry_is_a_finding(tmp_path: Path) -> None:
+    """A device that goes while it is looked at, or whose entry is damaged, ends no examination."""
+    entry = plug(tmp_path).parents[4] / "sys/bus/usb/devices/1-1"
+    (entry / "busnum").write_bytes(b"\xff\n")
+    (entry / "devnum").unlink()
+    assert levels(tmp_path) == [("device", "ok"), ("permissions", "failure"), ("descriptors", "ok")]
+
+
 def test_a_node_that_may_not_be_opened_fails_and_the_fix_names_its_group(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
