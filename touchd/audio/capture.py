@@ -49,7 +49,10 @@ def periods_of(acquisition: Acquisition, frame_rate_hz: int) -> tuple[int, int]:
     if frame_rate_hz not in fits:
         problem = f"is {frame_rate_hz}: no whole number of chirps lasts as long as such a frame"
         if not fits:
-            raise ConfigError(problem, "device.rate_hz", "set another audio.chirp_s, such as 0.004: no rate fits")
+            whole_hz = round(acquisition.sample_rate_hz)
+            parts = [samples for samples in range(1, whole_hz + 1) if whole_hz % samples == 0]
+            near_s = min(parts, key=lambda samples: abs(samples - acquisition.samples)) / whole_hz
+            raise ConfigError(problem, "device.rate_hz", f"set audio.chirp_s = {near_s:.6g}: to this one no rate fits")
         raise ConfigError(problem, "device.rate_hz", f"use {fits[-1]}, or a whole part of it")
     samples = round(acquisition.sample_rate_hz / frame_rate_hz)
     period = _period(acquisition) or samples

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field, ValidationInfo, field_validator
 
 from touchd.config.kinds import Section
+from touchd.frame import MAX_SAMPLES
 
 
 class NiSettings(Section):
@@ -65,3 +66,13 @@ class AudioSettings(Section):
         if not 1 <= band_hz[0] < band_hz[1] < highest_hz:
             raise ValueError(f"must be two frequencies in rising order, below half of the sample rate, {highest_hz:g}")
         return band_hz
+
+    @field_validator("chirp_s")
+    @classmethod
+    def _holds_its_band(cls, chirp_s: float, info: ValidationInfo) -> float:
+        start_hz, rate_hz = info.data.get("band_hz", (20_000.0,))[0], info.data.get("sample_rate_hz", 192_000)
+        if chirp_s * start_hz < 1:
+            raise ValueError(f"is {chirp_s:g} s, less than a period of {start_hz:g} Hz, where audio.band_hz begins")
+        if round(chirp_s * rate_hz) > MAX_SAMPLES:
+            raise ValueError(f"is {chirp_s:g} s, more than {MAX_SAMPLES} samples at audio.sample_rate_hz, {rate_hz} Hz")
+        return chirp_s

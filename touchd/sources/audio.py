@@ -267,6 +267,8 @@ def open_audio(
     audio = settings.audio
     if not name:
         raise ConfigError("is not set", "audio.device", "name a card: --audio hw:CARD=NAME; arecord -L lists them")
+    if not name.isprintable():  # it is said in messages
+        raise ConfigError(f"is {name!r}", "audio.device", "name a card as arecord -L lists it")
     acquisition = acquisition_of(audio)
     if model is not None:
         model.check(acquisition)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from tests.audiocard import FakeCard, answers
 from tests.processes import PATIENCE_S
@@ -489,9 +492,38 @@ def test_a_model_of_another_acquisition_is_refused(model: Model) -> None:
         open_audio(Settings(), refuse, "hw:CARD=none", model)
 
 
-def test_chirps_that_fill_no_rate_are_refused() -> None:
-    """Of chirps of 3 ms no number lasts a whole part of a second."""
-    acquisition = acquisition_of(AudioSettings(chirp_s=0.003))
+@pytest.mark.parametrize(("sample_rate_hz", "chirp_s"), [(192_000, 0.003), (44_100, 0.004), (192_000, 1e-4)])
+def test_chirps_that_fill_no_rate_are_refused(sample_rate_hz: int, chirp_s: float) -> None:
+    """Of chirps of 3 ms no number lasts a whole part of a second; the nearest length that does is named, and works."""
+    audio = AudioSettings(sample_rate_hz=sample_rate_hz, band_hz=(15e3, 20e3), chirp_s=chirp_s)
+    acquisition = acquisition_of(audio)
     assert rates_of(acquisition) == []
-    with pytest.raises(ConfigError, match="set another audio"):
+    with pytest.raises(ConfigError, match="no rate fits") as failed:
         periods_of(acquisition, rate_of(acquisition, DeviceSettings()))
+    named = re.search(r"audio.chirp_s = (\S+):", failed.value.fix)
+    assert named is not None
+    assert float(named[1]) == pytest.approx(chirp_s, rel=0.1)
+    assert rates_of(acquisition_of(audio.model_copy(update={"chirp_s": float(named[1])})))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"band_hz": (1, 85e3)}, "less than a period of 1 Hz"),
+        ({"chirp_s": 1e-4, "band_hz": (5e3, 85e3)}, "less than a period of 5000 Hz"),
+        ({"sample_rate_hz": 768_000, "chirp_s": 0.1}, "more than 65536 samples"),
+    ],
+)
+def test_a_chirp_that_cannot_be(wrong: dict[str, Any], told: str) -> None:
+    """A chirp without a whole wave, or longer than a frame can be, is refused when the configuration is read.
+
+    The filter of a band from 1 Hz on took a minute to compute; a frame too long was an internal error.
+    """
+    with pytest.raises(ValidationError, match=told):
+        AudioSettings(**wrong)
+
+
+@pytest.mark.parametrize("name", ["hw:CARD=\udcff", "hw:\0"])
+def test_a_name_that_no_message_can_say_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=r"audio\.device"):
+        open_audio(Settings(), refuse, name, None)
