@@ -17,7 +17,7 @@ import nidaqmx
 import numpy as np
 from nidaqmx import stream_readers, stream_writers
 from nidaqmx.constants import AcquisitionType, RegenerationMode
-from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError
+from nidaqmx.errors import DaqError, DaqFunctionNotSupportedError, DaqNotFoundError, DaqNotSupportedError
 from numpy.typing import NDArray
 
 from touchd.config.rigs import NiSettings
@@ -52,6 +52,8 @@ class NiDaq:
             simultaneous = device.ai_simultaneous_sampling_supported
         except (DaqNotFoundError, DaqNotSupportedError) as error:
             raise SourceError("there is no NI-DAQmx driver", "ni", _DRIVER_FIX) from error
+        except DaqFunctionNotSupportedError as error:
+            raise SourceError("the NI-DAQmx driver is too old", "ni", _DRIVER_FIX) from error
         except DaqError as error:
             raise DaqAbsent(f"the driver does not find {settings.inputs} ({error.error_code})") from error
         if not simultaneous:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from nidaqmx import stream_readers, stream_writers
 from nidaqmx.constants import AcquisitionType, RegenerationMode
-from nidaqmx.errors import DaqError, DaqNotFoundError
+from nidaqmx.errors import DaqError, DaqFunctionNotSupportedError, DaqNotFoundError
 from nidaqmx.system.device import Device
 from nidaqmx.task import InStream, OutStream, Task
 from nidaqmx.task.collections import AIChannelCollection, AOChannelCollection
@@ -263,6 +263,17 @@ def test_no_driver() -> None:
     except DaqNotFoundError:
         with pytest.raises(SourceError, match="install NI-DAQmx"):
             NiDaq(SETTINGS, ACQUISITION)
+
+
+def test_old_driver(rig: Rig) -> None:
+    """A driver without a function that the rig needs is named, not taken for a fault of touchd."""
+
+    def old(_name: str) -> MagicMock:
+        raise DaqFunctionNotSupportedError("update the driver")
+
+    rig.found = old
+    with pytest.raises(SourceError, match="too old"):
+        NiDaq(SETTINGS, ACQUISITION)
 
 
 def test_reset(rig: Rig) -> None:
