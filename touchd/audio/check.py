@@ -25,6 +25,8 @@ PASSED_DB = -12.0
 AUDIBLE_HZ = 20_000.0
 GOOD_DB = 60.0
 """Signal-to-noise ratio that the pages' accuracies are for."""
+MOST_OFF = 0.01
+"""Relative error of the sample rate by this computer's clock: of a card's clock it is a hundredth of that."""
 UNTOUCHED_DBFS = -12.0
 """Level of an untouched plate whose response peaks at 0.6 of full scale."""
 _SETTLE_S = 0.1

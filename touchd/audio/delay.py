@@ -83,8 +83,9 @@ class Delay(NamedTuple):
 
 
 def by_loopback(captured: Floats, loop: Floats) -> Delay:
-    """Return the delay of a cable's signal, (period,), by the loop that was played."""
-    return _find(captured[None], loop[None], None, _CABLE)
+    """Return the delay of a cable's signal, (period,), by the loop that was played; the cable may invert it."""
+    upright, inverted = _explained(np.stack([captured, -captured]), loop[None]).max(axis=(1, 2))
+    return _find(captured[None] * (1 if upright >= inverted else -1), loop[None], None, _CABLE)
 
 
 def check_discs(captured: Floats, reference: Floats | None) -> None:

@@ -146,11 +146,15 @@ def text(found: Checked, plan: Plan | None = None) -> list[str]:
 
 def _remedies(found: Checked) -> dict[str, str]:
     """Return by row what to do about what will not do."""
-    from touchd.audio.check import GOOD_DB, LOW_DISTORTION_DB
+    from touchd.audio.check import GOOD_DB, LOW_DISTORTION_DB, MOST_OFF
 
+    off = abs(found.true_rate_hz / found.sample_rate_hz - 1) > MOST_OFF
     clean = any(db is not None and db < LOW_DISTORTION_DB for db in found.distortion_db.values())
     wrong = {
-        "sample rate": (bool(found.resamples), found.resamples),
+        "sample rate": (
+            bool(found.resamples) or off,
+            found.resamples or "the card takes other samples than it says: set another audio.sample_rate_hz",
+        ),
         "noise": (
             found.snr_db < GOOD_DB,
             f"{GOOD_DB:.0f} dB are wanted: turn the output up, or the input's gain; switch its pad off",

@@ -17,9 +17,16 @@ from touchd.cli.audio_check import result, text
 from touchd.config.rigs import AudioSettings
 
 
+def checked(card: CableCard, restarts: int = 1, seconds: float = 0.05) -> Checked:
+    """What is measured of a card whose seconds are this computer's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("touchd.audio.check.time", SimpleNamespace(monotonic=lambda: card.seconds))
+        return check(card, restarts=restarts, seconds=seconds, level_dbfs=-12.0)
+
+
 @pytest.fixture(scope="module")
 def found() -> Checked:
-    return check(CableCard(), restarts=5, seconds=0.2, level_dbfs=-12.0)
+    return checked(CableCard(), restarts=5, seconds=0.2)
 
 
 def test_the_table_says_what_the_card_is(found: Checked) -> None:
@@ -70,7 +77,7 @@ def test_hum_outside_the_band_does_not_count() -> None:
 def test_a_remedy_follows_what_will_not_do() -> None:
     card = CableCard()
     card.noise = 3e-3
-    lines = text(check(card, restarts=1, seconds=0.05, level_dbfs=-12.0))
+    lines = text(checked(card))
     (remedy,) = (line for line in lines if "->" in line)
     assert lines[lines.index(remedy) - 1].startswith("noise")
     assert "60 dB are wanted" in remedy
@@ -140,11 +147,22 @@ def test_xruns_are_counted() -> None:
     assert check(card, restarts=1, seconds=0.05, level_dbfs=-12.0, progress=progress).xruns == 3
 
 
-def test_the_true_rate_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By this computer's clock, which here is the card's true one."""
+def test_the_true_rate_is_told() -> None:
+    """By this computer's clock, which here is the card's true one; one that is far off has a remedy."""
     card = CableCard()
     card.true_rate_hz = 48_005.0
-    monkeypatch.setattr("touchd.audio.check.time", SimpleNamespace(monotonic=lambda: card.seconds))
-    found = check(card, restarts=1, seconds=1.0, level_dbfs=-12.0)
+    found = checked(card, seconds=1.0)
     assert found.true_rate_hz == pytest.approx(48_005.0, abs=0.1)
-    assert "48005.0 Hz, +104 ppm" in text(found)[1]
+    lines = text(found)
+    assert "48005.0 Hz, +104 ppm" in lines[1]
+    assert "->" not in lines[2]
+    card = CableCard()
+    card.true_rate_hz = 44_100.0
+    assert "-> the card takes other samples than it says" in text(checked(card, seconds=1.0))[2]
+
+
+def test_an_inverted_cable(found: Checked) -> None:
+    """A cable, or a card, that inverts the signal tells delays as any other."""
+    card = CableCard()
+    card.gains *= -1
+    assert checked(card, restarts=5).delays == pytest.approx(found.delays, abs=2e-3)
