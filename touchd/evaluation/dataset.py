@@ -104,12 +104,19 @@ def make_dataset(
     Raises
     ------
     TrainingError
-        The recording has no labels, fewer than `least` touches, no untouched frame, or a touch outside the plate.
+        The recording has no labels, fewer than `least` touches, no untouched frame, or a touch outside the plate; or
+        no bin of its frames lies within the chirp's band.
     """
     position_mm, touched, untouched = labels(recording, least)
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     acquisition = recording.acquisition
     features = Features(domain, acquisition, taper=taper)
+    if not features.size:
+        low_hz, high_hz = acquisition.chirp.band_hz
+        raise TrainingError(
+            f"no bin of a frame lies between {low_hz:g} and {high_hz:g} Hz", "meta.chirp",
+            "correct the recording's chirp or sample rate, or take longer frames",
+        )  # fmt: skip
     residual = np.empty((len(touched), features.size), np.float32)
     signal, plain, stretch, delay = (np.empty_like(residual) for _ in range(4))
     seconds = np.arange(acquisition.samples) / acquisition.sample_rate_hz

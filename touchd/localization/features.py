@@ -15,14 +15,15 @@ Vector = NDArray[np.floating]
 
 
 def band_bins(acquisition: Acquisition) -> NDArray[np.int64]:
-    """Return the indices of the DFT bins strictly between the chirp's start and stop frequencies.
+    """Return the indices of the DFT bins strictly within the chirp's band, whether it rises or falls.
 
     51..99 for the paper's 250 samples at 250 kHz and 50 -> 100 kHz, that is 49 bins (Bahrami et al. 2022, features).
     """
     k = np.arange(acquisition.samples // 2 + 1)
     # Multiplied first: a rounded spacing would push a bin that lies on the edge over it.
     f_hz = k * acquisition.sample_rate_hz / acquisition.samples
-    return k[(f_hz > acquisition.chirp.start_hz) & (f_hz < acquisition.chirp.stop_hz)]
+    low_hz, high_hz = acquisition.chirp.band_hz
+    return k[(f_hz > low_hz) & (f_hz < high_hz)]
 
 
 def windowed_dft(

@@ -141,8 +141,12 @@ def train_atlas(
 def check_density(position_mm: Floats, wavenumber_per_mm: float) -> Iterator[str]:
     """Warn if the training touches (n, 2) are too few for the atlas' finest bin.
 
-    Raises TrainingError if they are so few that the atlas could not locate a touch.
+    Raises TrainingError if they are so few that the atlas could not locate a touch, or all at one place.
     """
+    if not np.ptp(position_mm, axis=0).any():
+        raise TrainingError(
+            "all touches have one place", "contacts_mm", "write down where each was, or touch elsewhere"
+        )
     least = degrees_of_freedom(position_mm, wavenumber_per_mm)
     have = len(position_mm)
     if have < HOPELESS * least:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.conftest import TOUCHES
 from touchd.errors import TrainingError
 from touchd.evaluation.dataset import MIN_TOUCHES, Dataset, digest, labels, make_dataset, split, thin
+from touchd.frame import Chirp
 from touchd.localization.features import Features
 from touchd.recording.data import Act, Recording
 
@@ -84,6 +85,14 @@ def test_too_few_touches_are_refused_with_their_number(touches: Recording) -> No
     keep = slice(0, 2 * MIN_TOUCHES - 2)
     with pytest.raises(TrainingError, match=f"^.*{MIN_TOUCHES - 1} touches.*too few"):
         make_dataset(cut(touches, keep, truth_of(touches)[keep]))
+
+
+def test_a_chirp_beyond_the_frames_bins_is_refused(touches: Recording) -> None:
+    """Of a wrong chirp or sample rate nothing can be learned."""
+    chirp = Chirp(start_hz=1e6, stop_hz=2e6)
+    wrong = replace(touches, meta=touches.meta.model_copy(update={"chirp": chirp}))
+    with pytest.raises(TrainingError, match="no bin of a frame"):
+        make_dataset(wrong)
 
 
 def test_a_recording_without_an_untouched_frame_is_refused(touches: Recording) -> None:

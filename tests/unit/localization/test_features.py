@@ -26,6 +26,11 @@ def test_the_papers_rig_has_49_bins_from_51_to_99() -> None:
     assert Features("time", RIG).size == 1000
 
 
+def test_a_falling_chirp_has_the_bins_of_a_rising_one() -> None:
+    falling = RIG.model_copy(update={"chirp": Chirp(start_hz=RIG.chirp.stop_hz, stop_hz=RIG.chirp.start_hz)})
+    assert band_bins(falling).tolist() == band_bins(RIG).tolist()
+
+
 def test_the_matrix_is_the_windowed_fft_to_the_last_digits_of_float64() -> None:
     signal = np.random.default_rng(1).standard_normal((4, 250))
     product = (signal @ windowed_dft(RIG)).reshape(-1)

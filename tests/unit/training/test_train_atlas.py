@@ -25,6 +25,12 @@ def test_few_touches_are_called_few_and_hopelessly_few_refused(count: int, waven
         assert len(list(check_density(position_mm, wavenumber_per_mm))) == (share < AMPLE)
 
 
+def test_touches_at_one_place_are_refused() -> None:
+    """Labels that are all the same tell no field."""
+    with pytest.raises(TrainingError, match="one place"):
+        list(check_density(np.full((200, 2), 50.0), 0.3))
+
+
 def of_channels(channels: int) -> Acquisition:
     return Acquisition(channels=channels, samples=250, sample_rate_hz=250e3)
 

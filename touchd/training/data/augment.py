@@ -232,7 +232,7 @@ def _features_of(features: Features, signals: Tensor) -> Tensor:
 def _tones(count: int, dataset: Dataset, generator: torch.Generator) -> Tensor:
     """Return tones of random frequency around the chirp's band, with random amplitude and phase per channel."""
     a = dataset.acquisition
-    low_hz, high_hz = 0.9 * a.chirp.start_hz, 1.1 * a.chirp.stop_hz
+    low_hz, high_hz = 0.9 * a.chirp.band_hz[0], 1.1 * a.chirp.band_hz[1]
     f_hz = low_hz + (high_hz - low_hz) * torch.rand((count, 1, 1), generator=generator)
     phase = 2 * torch.pi * torch.rand((count, a.channels, 1), generator=generator)
     size = 0.3 + torch.rand((count, a.channels, 1), generator=generator)

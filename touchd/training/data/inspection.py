@@ -64,7 +64,7 @@ def inspect(recording: Recording, training_share: float = 0.7) -> list[str]:
         *unfelt(session),
         *copies(session),
         *coverage(session.position_mm, plate),
-        *density(session.position_mm, plate, recording.meta.chirp.stop_hz, training_share),
+        *density(session.position_mm, plate, recording.meta.chirp.band_hz[1], training_share),
     ]
 
 
