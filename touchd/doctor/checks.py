@@ -103,13 +103,17 @@ def noise_counts(sample: Sample) -> Floats:
 
 
 def check_noise(sample: Sample) -> Finding:
-    """Compare each channel's noise with its signal and with the other channels' noise."""
-    noise = np.maximum(noise_counts(sample), 1e-3)
+    """Compare each channel's noise with its signal and with the other channels' noise; a DAQ that hangs has none."""
+    measured = noise_counts(sample)
+    noise = np.maximum(measured, 1e-3)
     snr_db = 20 * np.log10(np.maximum(_rms(sample.untouched), 1e-3) / noise)
     alive = _alive(sample)
     if not alive.any():
         return Finding("noise", "failure", "no channel has a signal", "follow the remedy for dead channels")
     # check_dead reports dead channels.
+    if len(frozen := np.flatnonzero(alive & (measured == 0))):
+        text = f"channel {_names(frozen)} repeats its frames, as noise never does"
+        return Finding("noise", "failure", text, "the DAQ hangs: switch it off and on")
     worst_db = float(snr_db[alive].min())
     level = grade(-worst_db, (-SNR_DB[0], -SNR_DB[1]))
     unlike = np.flatnonzero(alive & (20 * np.log10(noise / np.median(noise[alive])) > NOISE_UNLIKE_DB))

@@ -118,6 +118,16 @@ def test_if_all_channels_are_dead_it_is_the_emitter(idle: np.ndarray) -> None:
     assert every(doctor.check_noise, np.zeros_like(idle)).level == "failure"
 
 
+def test_frames_that_repeat_are_no_measurement(idle: np.ndarray) -> None:
+    """A DAQ that hangs, wholly or in a channel, is not praised for its low noise."""
+    hangs = np.repeat(idle[:1], len(idle), axis=0)
+    assert "channel 1, 2, 3, 4 repeats" in every(doctor.check_noise, hangs).text
+    one = idle.copy()
+    one[:, 2] = one[:1, 2]
+    finding = every(doctor.check_noise, one)
+    assert (finding.level, "channel 3 repeats" in finding.text) == ("failure", True)
+
+
 def test_a_dead_channel_does_not_hide_the_noise_of_the_others(idle: np.ndarray) -> None:
     dead = channel(0, lambda s: 0 * s)(idle)
     assert every(doctor.check_noise, dead).level == "ok"
