@@ -53,16 +53,22 @@ def command(
     tones are played. Says which band and level to use, and what to do about what is wrong.
     """
     from touchd.audio.alsa import AlsaCard
+    from touchd.audio.capture import periods_of
     from touchd.audio.card import CardAbsent, CardGone
     from touchd.audio.check import check
     from touchd.audio.delay import Doubtful
     from touchd.calibration.plate_file import read_plate_file
     from touchd.config.load import load
+    from touchd.sources.audio import acquisition_of, rate_of
 
     if output is not None:
         check_picture(output)
-    audio = load(config).audio
+    settings = load(config)
+    audio = settings.audio
     said = read_plate_file(plate_file) if plate_file else None
+    if said is not None:  # refused before a minute of measuring
+        acquisition = acquisition_of(audio)
+        periods_of(acquisition, rate_of(acquisition, settings.device))
     name = device or audio.device
     if not name:
         raise ConfigError("is not set", "audio.device", "name a card: hw:CARD=NAME; arecord -L lists them")

@@ -6,6 +6,7 @@ import json
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -15,6 +16,7 @@ from touchd.audio.check import Checked, check
 from touchd.audio.delay import Doubtful
 from touchd.cli.audio_check import result, text
 from touchd.config.rigs import AudioSettings
+from touchd.errors import ConfigError
 
 
 def checked(card: CableCard, restarts: int = 1, seconds: float = 0.05) -> Checked:
@@ -101,6 +103,18 @@ def test_the_expected_error_on_a_plate(tmp_path: Path, monkeypatch: pytest.Monke
     assert expected[0]["median_mm"] < expected[0]["p95_mm"] < expected[0]["worst_mm"] < 0.3
     assert expected[1]["median_mm"] == pytest.approx(10 * expected[0]["median_mm"], rel=0.1)
     assert (tmp_path / "card.png").stat().st_size > 10_000
+
+
+def test_a_chirp_that_no_frame_can_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With PLATE.toml a chirp that the daemon would refuse is refused before the card is measured, by its remedy."""
+    (tmp_path / "PLATE.toml").write_text(SMALL_PLATE)
+    monkeypatch.setattr("touchd.audio.alsa.AlsaCard", Mock(side_effect=AssertionError("it was opened")))
+    done = touchd(
+        "audio-check", "hw:CARD=Fake", "--plate", tmp_path / "PLATE.toml",
+        TOUCHD_AUDIO__SAMPLE_RATE_HZ="44100", TOUCHD_AUDIO__BAND_HZ="[1000, 20000]",
+    )  # fmt: skip
+    assert done.code == ConfigError.exit_code
+    assert "set audio.chirp_s = 0.00396825" in done.err
 
 
 def test_the_band_ends_where_less_passes() -> None:
