@@ -8,7 +8,7 @@ takes from there to a subscriber is `touchd benchmark`'s to measure.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from itertools import count as count_up
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +17,9 @@ from touchd.config.schema import Settings
 from touchd.event import TouchEvent
 from touchd.frame import Frame
 from touchd.outcome import Outcome
-from touchd.service.daemon import make_pipeline
+from touchd.pipeline import Pipeline
+from touchd.service.daemon import load_model
 from touchd.service.messages import Messages, all_but_spectra
-from touchd.service.runner import frames_of
-from touchd.sources.source import EndOfStream
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import area_of
@@ -47,45 +46,28 @@ class Landing(NamedTuple):
     down_s: float
 
 
-class _Frames:
-    """A source of a stage's frames that leaves some out at a lower rate, as a device does."""
-
-    def __init__(self, stage: Stage, instrument: Instrument, seed: int) -> None:
-        self.acquisition = instrument.acquisition
-        self._frames = (frame for block in stream(stage, instrument, seed) for frame in block)
-        self._times_ns: Iterator[int] = iter(np.round(stage.time_s * 1e9).astype(int).tolist())
-        self._number, self._last_ns, self.period_ns = 0, -(10**12), 0.0
-
-    def read(self, timeout_s: float) -> Frame:  # noqa: ARG002 - frames are always there
-        for counts, t_ns in zip(self._frames, self._times_ns, strict=False):
-            if t_ns - self._last_ns >= self.period_ns - 1:
-                self._last_ns = t_ns
-                self._number += 1
-                return Frame(counts, self._number, t_ns, t_ns)
-        raise EndOfStream
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
 def landings(count: int, rate_hz: float, idle_hz: float, seed: int, settings: Settings) -> tuple[list[Landing], int]:
     """Let fingertips land, and return when each was reported, and how many contacts there were beyond them."""
     stage, begun = _stage(count, rate_hz, seed)
     instrument = Instrument(DEFAULT_PLATE)
-    source = _Frames(stage, instrument, seed)
-    pipeline = make_pipeline(source, settings)
+    acquisition = instrument.acquisition
+    pipeline = Pipeline(acquisition, load_model(settings), settings)
     messages = Messages(settings, all_but_spectra)
-    length_s = source.acquisition.samples / source.acquisition.sample_rate_hz
+    length_s = acquisition.samples / acquisition.sample_rate_hz
     seen: dict[str, list[float]] = {"gate": [], "found": [], "down": []}
-    busy_s = 0.0
-    for frame in frames_of(source):
-        assert frame is not None  # they are always there
-        result = pipeline.process(frame)
-        at_s = frame.t_ns * 1e-9 + length_s
+    busy_s = wanted_s = 0.0
+    frames = (counts for block in stream(stage, instrument, seed) for counts in block)
+    numbers = count_up()
+    for counts, time_s in zip(frames, stage.time_s.tolist(), strict=True):
+        if time_s < wanted_s - 1e-9:  # left out, as by a device at a lower rate
+            continue
+        t_ns = round(time_s * 1e9)
+        result = pipeline.process(Frame(counts, next(numbers), t_ns, t_ns))
+        at_s = time_s + length_s
         if result.outcome is not Outcome.UNTOUCHED:
             seen["gate"].append(at_s)
             busy_s = at_s
-        source.period_ns = 1e9 / (rate_hz if at_s - busy_s < QUIET_S else idle_hz)
+        wanted_s = time_s + 1 / (rate_hz if at_s - busy_s < QUIET_S else idle_hz)
         if result.touches:
             seen["found"].append(at_s)
         for event in messages.make(result, pipeline.spectrum):
