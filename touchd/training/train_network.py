@@ -27,7 +27,6 @@ from touchd.training.data.temperature import drift_directions
 from touchd.training.field.dispersion import fitted_note, is_known
 from touchd.training.field.error_scale import fit_scales
 from touchd.training.field.few_touches import learn_field
-from touchd.training.field.learn import Field
 from touchd.training.field.regression import Floats
 from touchd.training.network.export import TOLERANCE, check_export, describe, make_graph
 from touchd.training.network.loop import Curve, Epoch, Progress, fit
@@ -81,16 +80,14 @@ def train(
     share: float = 1.0,
     patience: int | None = None,
     command: str = "",
-    field: Field | None = None,
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
     warn: Warn = lambda _note: None,
 ) -> Result:
     """Train a model by a recipe and write it as an ONNX file.
 
     Equal recording, seed and number of threads give an equal network. The file is written only after a complete
-    training. It uses this `share` of the training part, for a learning curve; validation and test stay unchanged. It
-    draws touches from `field`, by default learned here from the training part. For `patience` see `fit`. `warn`
-    receives each warning as soon as it arises. Raises TrainingError and OutputError.
+    training. It uses this `share` of the training part, for a learning curve; validation and test stay unchanged. For
+    `patience` see `fit`. `warn` receives each warning as soon as it arises. Raises TrainingError and OutputError.
     """
     started_s = time.monotonic()
     torch.manual_seed(seed)
@@ -134,8 +131,7 @@ def train(
         plate = data.meta.plate
         if not is_known(plate):
             note(fitted_note(plate))
-        if field is None:
-            field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
+        field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
         synthesiser = Synthesiser(field, plate.size_mm, generator, description.layout)
         augmenter = Augmenter(data, torch.from_numpy(parts.train), synthesiser, generator)
         batches, steps = _augmented_batches(augmenter, generator, others=isinstance(network, PositionNetwork))

@@ -16,7 +16,6 @@ from touchd.evaluation.model_scores import judge
 from touchd.localization.model import Model
 from touchd.recording import format as recording
 from touchd.recording.data import Recording
-from touchd.training.field.learn import Field
 from touchd.training.network.export import quantise
 from touchd.training.network.recipe import RECIPES
 from touchd.training.train_network import train
@@ -52,9 +51,9 @@ def test_it_places_touches_as_the_original_does_in_less_than_half_the_size(
     )
 
 
-def test_it_is_less_sure_by_as_much_as_it_errs_more(touches: Recording, field: Field, tmp_path: Path) -> None:
+def test_it_is_less_sure_by_as_much_as_it_errs_more(touches: Recording, tmp_path: Path) -> None:
     """On the touches of the validation part just as many of its errors are within sigma as of the original's."""
-    original = train(touches, tmp_path / "a.onnx", RECIPES["best"], epochs=3, field=field).model
+    original = train(touches, tmp_path / "a.onnx", RECIPES["best"], epochs=3).model
     made = quantise(original, touches, tmp_path / "b.onnx")
     data = make_dataset(touches)
     part = split(len(data), original.description.seed).validation

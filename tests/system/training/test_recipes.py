@@ -8,31 +8,22 @@ from pathlib import Path
 import pytest
 
 from touchd.errors import TrainingError
-from touchd.evaluation.dataset import make_dataset, split
+from touchd.evaluation.dataset import make_dataset
 from touchd.evaluation.model_scores import judge, scores
 from touchd.keypad import PHONE, load_layout
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
-from touchd.training.field.few_touches import learn_field
-from touchd.training.field.learn import Field
 from touchd.training.network.recipe import RECIPES
 from touchd.training.train_network import train
 
 LAYOUT = load_layout(PHONE)
 
 
-@pytest.fixture(scope="module")
-def field(few: Recording) -> Field:
-    """What each training of `few` with seed 0 learns of the plate."""
-    data = make_dataset(few)
-    return learn_field(data, split(len(data), 0).train)
-
-
 @pytest.mark.parametrize("name", [name for name in RECIPES if name != "small"])
-def test_model(name: str, few: Recording, field: Field, tmp_path: Path) -> None:
+def test_model(name: str, few: Recording, tmp_path: Path) -> None:
     """A recipe gives a model that says what it is, and carries the scores that it is given on its test touches."""
     recipe = RECIPES[name]
-    result = train(few, tmp_path / "a.onnx", recipe, grid=4, layout=LAYOUT, epochs=1, field=field)
+    result = train(few, tmp_path / "a.onnx", recipe, grid=4, layout=LAYOUT, epochs=1)
     model = Model(tmp_path / "a.onnx")
     d = model.description
     assert (d.name, d.head, d.domain) == (name, recipe.head, recipe.domain)
