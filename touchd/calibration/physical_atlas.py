@@ -24,8 +24,8 @@ from touchd.localization.atlas import Array, Atlas, AtlasDescription
 from touchd.localization.features import band_bins, windowed_dft
 from touchd.localization.position_error import UNUSUAL
 from touchd.training.field.bins import TAPER, informative, weights
-from touchd.training.field.error_scale import LEVELS_DB, Level, calibrate, field_error, level_of
-from touchd.training.field.place import FieldMap, place
+from touchd.training.field.error_scale import calibrate, field_error, noisy_levels
+from touchd.training.field.place import FieldMap, place, real_nodes
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.record import Record
@@ -141,9 +141,7 @@ def coefficients_of(values: Complex, x: Grid, y: Grid) -> Array:
     """Return an atlas' coefficients from the field at all samples of its grid, row by row: (samples, R, bins)."""
     rows = values.reshape(len(y.samples_mm), len(x.samples_mm), -1)
     nodes = np.tensordot(y.solve, np.tensordot(x.solve, rows, (1, 1)), (1, 1))  # (rows, columns, R * bins)
-    nodes = nodes.reshape(*nodes.shape[:2], *values.shape[1:])
-    coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(*nodes.shape[:2], -1)
-    return np.ascontiguousarray(coefficients, np.float32)
+    return real_nodes(nodes.reshape(*nodes.shape[:2], *values.shape[1:]))
 
 
 def make_physical_atlas(
@@ -177,10 +175,8 @@ def make_physical_atlas(
     rows = []
     for done, y_mm in enumerate(y.samples_mm):
         places = np.stack([x.samples_mm, np.full_like(x.samples_mm, y_mm)], axis=1)
-        rows.append(np.tensordot(x.solve, field.at(places)[..., kept] * weight, 1).astype(np.complex64))
+        rows.append(field.at(places)[..., kept] * weight)
         progress("field", (done + 1) / len(y.samples_mm))
-    nodes = np.tensordot(y.solve.astype(np.float32), np.stack(rows), 1)  # (rows, columns, R, bins)
-    coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(*nodes.shape[:2], -1)
     description = AtlasDescription(
         acquisition=a, plate=plate, taper=TAPER, bins=tuple(map(int, band_bins(a)[kept])), step_mm=step_mm,
         origin_mm=(float(x.nodes_mm[0]), float(y.nodes_mm[0])), low_mm=(0.0, 0.0),
@@ -189,10 +185,10 @@ def make_physical_atlas(
         weights=tuple(weight.round(6).tolist()) if weight.min() < 1 else (),
     )  # fmt: skip
     plain = Atlas(
-        description, np.ascontiguousarray(coefficients, np.float32), fit.measured.astype(np.float32),
+        description, coefficients_of(np.concatenate(rows), x, y), fit.measured.astype(np.float32),
         np.zeros((a.channels, len(kept)), np.float32),
     )  # fmt: skip
-    return calibrated(plain, fit, position_mm, values[..., kept] * weight, noise_counts)
+    return calibrated(plain, fit.lacking, position_mm, values[..., kept] * weight, noise_counts)
 
 
 def draw(field: PhysicalField, size_mm: Floats) -> tuple[Floats, Complex]:
@@ -209,22 +205,21 @@ def draw(field: PhysicalField, size_mm: Floats) -> tuple[Floats, Complex]:
     return position_mm, np.concatenate(values)
 
 
-def calibrated(plain: Atlas, fit: PlateFit, position_mm: Floats, values: Complex, noise_counts: float) -> Atlas:
+def calibrated(plain: Atlas, lacking: float, position_mm: Floats, values: Complex, noise_counts: float) -> Atlas:
     """Return the atlas with the field's error, and with scales so that 68 % of the errors are within sigma.
 
-    What physics lack is alike in many bins, as is the error of an unusual touch.
+    `lacking` is that of the fit. What physics lack is alike in many bins, as is the error of an unusual touch.
     """
     placed = place(plain, values, position_mm)
     predicted = FieldMap(plain).at(placed.position_mm)
-    lacking = lack_of_physics(predicted, fit.lacking)
+    lack = lack_of_physics(predicted, lacking)
     error = field_error(values, predicted, placed.amplitude, 0.0)
-    noise_scale, drawn_scale = calibrate(
-        noisy_levels(plain, fit, position_mm, values, noise_counts), float(error.mean())
-    )
+    levels = noisy_levels(plain, values, position_mm, noise_counts, seed=_SEED)
+    noise_scale, drawn_scale = calibrate([level for _, level in levels], float(error.mean()))
     # The touches drawn lack nothing of the fit's physics: they scale their own error alone.
-    field_scale = float(np.average((drawn_scale, UNUSUAL), weights=(error.mean(), lacking.mean())))
+    field_scale = float(np.average((drawn_scale, UNUSUAL), weights=(error.mean(), lack.mean())))
     description = plain.description.model_copy(update={"noise_scale": noise_scale, "field_scale": field_scale})
-    return Atlas(description, plain.coefficients, plain.baseline, (error + lacking).astype(np.float32))
+    return Atlas(description, plain.coefficients, plain.baseline, (error + lack).astype(np.float32))
 
 
 def lack_of_physics(field: Complex, lacking: float) -> Floats:
@@ -233,20 +228,3 @@ def lack_of_physics(field: Complex, lacking: float) -> Floats:
     What the fit leaves of the untouched response it leaves of a wave; the field is a product of two.
     """
     return np.asarray(2 * lacking * np.square(np.abs(field)).mean(axis=0))
-
-
-def noisy_levels(atlas: Atlas, fit: PlateFit, position_mm: Floats, values: Complex, noise_counts: float) -> list[Level]:
-    """Locate touches in the plate's own noise, and in more."""
-    a, bins, to_bins = fit.acquisition, atlas.description.bins, atlas.description.to_bins
-    signal = float(np.sqrt(np.square(fit.measured - fit.measured.mean(axis=1, keepdims=True)).mean()))
-    own_db = 20 * np.log10(signal / max(noise_counts, 1e-3))
-    rng = np.random.default_rng(_SEED)
-    levels = []
-    for db in (own_db, *(level for level in LEVELS_DB if level < own_db - 1)):
-        deviation = np.sqrt(BASELINE_NOISE) * signal * 10 ** (-db / 20)
-        noise = deviation * rng.normal(size=(len(values), *a.shape)) @ to_bins
-        noisy = values + noise[..., : len(bins)] + 1j * noise[..., len(bins) :]
-        placed = place(atlas, noisy, position_mm)
-        variance = deviation**2 * float(np.square(to_bins).sum()) / (2 * len(bins))
-        levels.append(level_of(placed, position_mm, variance))
-    return levels

@@ -14,7 +14,7 @@ from touchd.evaluation.cramer_rao import twin_values
 from touchd.frame import Plate
 from touchd.localization.atlas import Atlas
 from touchd.training.field.bins import TAPER
-from touchd.training.field.place import complex_nodes
+from touchd.training.field.place import complex_nodes, real_nodes
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.material import ElasticPlate, material_of
@@ -56,6 +56,4 @@ def off_channels(atlas: Atlas) -> Atlas:
     """Return a field whose channels are off."""
     bins = np.linspace(-1, 1, len(atlas.description.bins))
     off = np.exp(1j * np.outer([0.5, -0.4, 0.3], bins**2)) * (1 + np.outer([0.2, -0.2, 0.1], bins))
-    nodes = complex_nodes(atlas) * off
-    coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(atlas.coefficients.shape)
-    return replace(atlas, coefficients=np.ascontiguousarray(coefficients, np.float32))
+    return replace(atlas, coefficients=real_nodes(complex_nodes(atlas) * off))

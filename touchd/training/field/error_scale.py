@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from touchd.evaluation.dataset import BASELINE_NOISE, Dataset
+from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.localization.atlas import Atlas
 from touchd.training.field.place import Floats, Placed, place
 
@@ -65,22 +65,31 @@ def level_of(
 
 
 def noisy_levels(
-    atlas: Atlas, dataset: Dataset, values: Spectra, true_mm: Floats, label_noise_mm: float
+    atlas: Atlas,
+    values: Spectra,
+    true_mm: Floats,
+    noise_counts: float,
+    *,
+    held_counts: float = 0.0,
+    label_noise_mm: float = 0.0,
+    seed: int = _NOISE_SEED,
 ) -> list[tuple[float, Level]]:
-    """Locate touches at their own noise and at added noise; return each level with its signal-to-noise ratio in dB."""
-    a, bins, plain = dataset.acquisition, atlas.description.bins, atlas.description.to_bins
-    window = float(np.square(a.window(atlas.description.taper)).sum()) * float(
-        np.square(atlas.description.bin_weights).mean()
-    )
+    """Locate touches in the plate's own noise, and in more; return each level with its signal-to-noise ratio in dB.
+
+    `noise_counts` is the standard deviation of a sample's noise, `held_counts` that of what `values` hold already.
+    """
+    d = atlas.description
+    a, bins, plain = d.acquisition, d.bins, d.to_bins
+    window = float(np.square(a.window(d.taper)).sum()) * float(np.square(d.bin_weights).mean())
     untouched = atlas.baseline - atlas.baseline.mean(axis=1, keepdims=True)
     plate = float(np.sqrt(np.square(untouched, dtype=np.float64).mean()))
-    own_db = 20 * np.log10(plate / max(dataset.noise, 1e-6))
-    rng = np.random.default_rng(_NOISE_SEED)
+    own_db = 20 * np.log10(plate / max(noise_counts, 1e-6))
+    rng = np.random.default_rng(seed)
     levels = []
     for db in (own_db, *(level for level in LEVELS_DB if level < own_db - 1)):
         # Draw white noise in samples, so that the window correlates neighbouring bins.
         deviation = plate * 10 ** (-db / 20)
-        added = np.sqrt(BASELINE_NOISE * max(deviation**2 - dataset.noise**2, 0.0))
+        added = np.sqrt(BASELINE_NOISE * max(deviation**2 - held_counts**2, 0.0))
         noise = rng.normal(size=(len(values), a.channels, a.samples)) @ plain * added
         placed = place(atlas, values + noise[:, :, : len(bins)] + 1j * noise[:, :, len(bins) :], true_mm)
         variance = BASELINE_NOISE * deviation**2 * window / 2

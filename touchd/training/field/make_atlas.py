@@ -18,7 +18,7 @@ from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import band_bins
 from touchd.training.field.error_scale import FAR_MM, calibrate, field_error, level_of, noisy_levels
 from touchd.training.field.learn import STEP_MM, Field, Learned
-from touchd.training.field.place import FieldMap, complex_nodes, place
+from touchd.training.field.place import FieldMap, complex_nodes, place, real_nodes
 from touchd.training.field.regression import Floats, Regression, Touches, each, touches_of
 
 REACH_MM = 4.0
@@ -53,7 +53,9 @@ def make_atlas(
     near = np.linalg.norm(placed.position_mm - true_mm, axis=1) < FAR_MM
     predicted = FieldMap(plain).at(placed.position_mm[near])
     error = field_error(values[near], predicted, placed.amplitude[near], touches.noise)
-    levels = noisy_levels(plain, steady, values, true_mm, learned.label_noise_mm)
+    levels = noisy_levels(
+        plain, values, true_mm, steady.noise, held_counts=steady.noise, label_noise_mm=learned.label_noise_mm
+    )
     mean = float(error.mean())
     noise_scale, field_scale = calibrate([level for _, level in levels], mean)
     scales = {"noise_scale": noise_scale, "field_scale": field_scale}
@@ -135,9 +137,7 @@ def aligned(atlas: Atlas, position_mm: NDArray[np.float64], amplitude: NDArray[n
     y_mm = d.origin_mm[1] + d.step_mm * np.arange(rows)
     nodes_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     turn = np.exp(1j * np.angle(mean_direction(nodes_mm, position_mm, amplitude))).reshape(rows, columns, 1, 1)
-    turned = nodes * turn
-    coefficients = np.stack([turned.real, turned.imag], axis=3).reshape(atlas.coefficients.shape)
-    return replace(atlas, coefficients=np.ascontiguousarray(coefficients, np.float32))
+    return replace(atlas, coefficients=real_nodes(nodes * turn))
 
 
 def mean_direction(

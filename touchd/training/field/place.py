@@ -75,6 +75,12 @@ def complex_nodes(atlas: Atlas) -> Complex:
     return np.asarray(parts[:, :, :, 0] + 1j * parts[:, :, :, 1], np.complex128)
 
 
+def real_nodes(nodes: Complex) -> NDArray[np.float32]:
+    """Return complex coefficients (rows, columns, channels, bins) as an atlas has them: undo `complex_nodes`."""
+    parts = np.stack([nodes.real, nodes.imag], axis=3)
+    return np.ascontiguousarray(parts.reshape(*nodes.shape[:2], -1), np.float32)
+
+
 class FieldMap:
     """Evaluates the field of an atlas and its gradient at many positions."""
 
