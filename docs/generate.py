@@ -147,25 +147,17 @@ def by_status(error: type[errors.TouchdError]) -> list[type[errors.TouchdError]]
 
 
 def results() -> str:
-    """Return the table of the shipped model's scores, as the model itself states them; empty without a model."""
-    if not MODEL.is_file():
-        return ""
+    """Return the table of the shipped model's scores, as it and its atlas state them."""
     model = Model(MODEL)
-    description = model.description
-    scores = description.scores
-    plate = description.plate
+    assert model.atlas is not None
+    alone, placed, plate = model.description.scores, model.atlas.description.scores, model.description.plate
     size = f"{plate.width_mm:g} x {plate.height_mm:g} x {plate.thickness_mm:g} mm"
     lines = [
-        f"| `models/{MODEL.name}`: {plate.material}, {size} | error of the position |",
-        "|---|---|",
-        *(f"| {name} | {scores[key]:.2f} mm |" for key, name in SCORES.items()),
-        f"| touches | {scores['n']:.0f} |",
+        f"| `models/{MODEL.name}`: {plate.material}, {size} | network alone | with its field atlas |",
+        "|---|---|---|",
+        *(f"| {name} | {alone[key]:.2f} mm | {placed[key]:.3f} mm |" for key, name in SCORES.items()),
+        f"| touches | {alone['n']:.0f} | {placed['n']:.0f} |",
     ]
-    if model.atlas is not None and (found := model.atlas.description.scores):
-        lines[0] = lines[0].replace("error of the position |", "network alone | with its field atlas |")
-        lines[1] += "---|"
-        rows = [*(f"{found[key]:.3f} mm" for key in SCORES), f"{found['n']:.0f}"]
-        lines[2:] = [f"{line} {row} |" for line, row in zip(lines[2:], rows, strict=True)]
     return "\n".join(lines)
 
 
@@ -198,7 +190,7 @@ def with_block(text: str, name: str, content: str) -> str:
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     before, rest = text.split(begin)
     _, after = rest.split(end)
-    return f"{before}{begin}\n{content}{chr(10) if content else ''}{end}{after}"
+    return f"{before}{begin}\n{content}\n{end}{after}"
 
 
 def main(arguments: list[str]) -> int:
