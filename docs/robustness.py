@@ -21,7 +21,8 @@ import numpy as np
 from docs import measured
 from tests.scenes.numerics import agreement, curves, degenerate, independence, limits, longruns
 from tests.scenes.numerics.curvepage import ATLAS, HEADINGS, NETWORK, PAPER, answer_rows, draw, small
-from tests.scenes.numerics.watch import frames_of, run
+from tests.scenes.numerics.watch import run
+from tests.scenes.stages import frames_of
 from touchd.evaluation.dataset import Dataset, digest, make_dataset, split, thin
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording

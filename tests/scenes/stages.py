@@ -1,12 +1,11 @@
-"""Scenes that the command line does not offer, and a source that plays any of them block by block."""
+"""Scenes that the command line does not offer, and a source of any frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
 from touchd.evaluation.replay_scores import StreamScores, score_stream
@@ -30,31 +29,27 @@ def empty_stage(seconds: float, seed: int = 0, rate_hz: float = RATE_HZ) -> Stag
     return Stage(DEFAULT_PLATE, rate_hz, sequence, temperature_c, np.random.default_rng(seed), Electronics())
 
 
-class Player:
-    """A source of a stage's frames."""
+class Given:
+    """A source of frames, as fast as they are read."""
 
-    def __init__(self, stage: Stage, instrument: Instrument, seed: int) -> None:
-        self.acquisition: Acquisition = instrument.acquisition
-        self._stage = stage
-        self._blocks: Iterator[NDArray[np.int16]] = stream(stage, instrument, seed)
-        self._block: NDArray[np.int16] = np.empty((0, *self.acquisition.shape), np.int16)
-        self._row = 0
-        self._frame = 0
+    def __init__(self, acquisition: Acquisition, frames: Iterable[Frame]) -> None:
+        self.acquisition, self._frames = acquisition, iter(frames)
 
     def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - frames are always there
-        if self._row == len(self._block):
-            block = next(self._blocks, None)
-            if block is None:
-                raise EndOfStream
-            self._block, self._row = block, 0
-        i = self._frame
-        frame = Frame(self._block[self._row], int(self._stage.sequence[i]), round(self._stage.time_s[i] * 1e9), 0)
-        self._row += 1
-        self._frame += 1
-        return frame
+        for frame in self._frames:
+            return frame
+        raise EndOfStream
 
     def close(self) -> None:
-        self._blocks = iter(())
+        self._frames = iter(())
+
+
+def frames_of(recording: Recording, t0_ns: int = 0, first: int = 0) -> Iterator[Frame]:
+    """The frames of a recording, its clock and counter begun elsewhere."""
+    for counts, sequence, t_ns in zip(
+        recording.frames, recording.sequence.tolist(), recording.timestamp_ns.tolist(), strict=True
+    ):
+        yield Frame(counts, first + sequence, t0_ns + t_ns, 0)
 
 
 @cache
@@ -64,9 +59,14 @@ def shipped(*, atlas: bool) -> Model:
 
 
 def play(stage: Stage, instrument: Instrument, seed: int = 1, settings: Settings | None = None) -> Replayed:
-    """A stage through the whole pipeline, with the shipped model."""
+    """A stage through the whole pipeline, with the shipped model, block by block."""
     settings = settings or Settings()
-    return run_through(Player(stage, instrument, seed), settings, shipped(atlas=settings.model.atlas))
+    counts = (frame for block in stream(stage, instrument, seed) for frame in block)
+    frames = (
+        Frame(frame, sequence, round(time_s * 1e9), 0)
+        for frame, sequence, time_s in zip(counts, stage.sequence.tolist(), stage.time_s.tolist(), strict=True)
+    )
+    return run_through(Given(instrument.acquisition, frames), settings, shipped(atlas=settings.model.atlas))
 
 
 def score(stage: Stage, outcome: Replayed) -> StreamScores:

@@ -6,14 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tests.scenes.stages import shipped
+from tests.scenes.stages import Given, frames_of, shipped
 from touchd.config.schema import Settings
 from touchd.event import Contact, Event, KeyEvent, TouchEvent
-from touchd.frame import Frame
 from touchd.keypad import PHONE
 from touchd.recording.data import Recording
 from touchd.service.replay import run_through
-from touchd.sources.source import EndOfStream
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.catalogue import SCENES
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
@@ -41,32 +39,12 @@ TOLD_TOLERANCE = 0.02
 """The same for sizes: a share of the figure, or of 1."""
 
 
-class Frames:
-    """A source of a recording's frames, as fast as they are read."""
-
-    def __init__(self, recording: Recording) -> None:
-        self.acquisition = recording.acquisition
-        self._frames = zip(
-            recording.frames, recording.sequence.tolist(), recording.timestamp_ns.tolist(), strict=True
-        )  # fmt: skip
-
-    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - frames are always there
-        found = next(self._frames, None)
-        if found is None:
-            raise EndOfStream
-        counts, sequence, t_ns = found
-        return Frame(counts, sequence, t_ns, t_ns)
-
-    def close(self) -> None:
-        self._frames = zip((), (), (), strict=True)
-
-
 def rows(case: str, recording: Recording) -> list[Any]:
     """What touchd makes of a case's scene: a row for each event, then the counters and the changes of the baseline."""
     name, atlas = CASES[case]
     keypad = {"layout": PHONE} if name == "keypad" else {}
     settings = Settings.model_validate({"keypad": keypad, "model": {"atlas": atlas}})
-    outcome = run_through(Frames(recording), settings, shipped(atlas=atlas))
+    outcome = run_through(Given(recording.acquisition, frames_of(recording)), settings, shipped(atlas=atlas))
     counted = {name: getattr(outcome.counters, name) for name in COUNTED} | {"unheard": outcome.unheard}
     last = {"counters": counted, "notices": outcome.notices}
     found: list[Any] = json.loads(json.dumps([*(_row(event) for event in outcome.events), last]))

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.scenes.numerics import reference
-from tests.scenes.numerics.watch import Look, Run, frames_of, run
+from tests.scenes.numerics.watch import Look, Run, run
+from tests.scenes.stages import frames_of
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.event import Contact
 from touchd.localization.atlas import Atlas

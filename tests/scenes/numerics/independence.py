@@ -11,19 +11,20 @@ from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
+from msgspec import structs
 from numpy.typing import NDArray
 
 from tests.scenes.numerics.agreement import NetworkShift, shift
-from tests.scenes.stages import shipped
+from tests.scenes.stages import Given, frames_of, shipped
 from touchd.config.schema import Settings
 from touchd.event import TouchEvent
-from touchd.frame import Acquisition, Frame
+from touchd.frame import Frame
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
 from touchd.recording.format import write
 from touchd.service.replay import run_through
 from touchd.sources.replay import ReplaySource
-from touchd.sources.source import EndOfStream, Source
+from touchd.sources.source import Source
 
 Rows = NDArray[np.float32]
 Contacts = list[tuple[int, list[tuple[float | str, ...]]]]
@@ -59,27 +60,15 @@ def contacts_of(touches: Sequence[TouchEvent]) -> Contacts:
     ]
 
 
-class Pieces:
-    """A source of a recording's frames, each from a buffer that is overwritten after some: as live sources do."""
-
-    def __init__(self, recording: Recording, block: int) -> None:
-        self.acquisition: Acquisition = recording.acquisition
-        self._recording, self._block, self._next = recording, block, 0
-        self._buffer = np.zeros((block, *recording.frames.shape[1:]), np.int16)
-
-    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - frames are always there
-        i, r = self._next, self._recording
-        if i == len(r.frames):
-            raise EndOfStream
-        if i % self._block == 0:
-            part = r.frames[i : i + self._block]
-            self._buffer[:] = -1
-            self._buffer[: len(part)] = part
-        self._next += 1
-        return Frame(self._buffer[i % self._block], int(r.sequence[i]), int(r.timestamp_ns[i]), 0)
-
-    def close(self) -> None:
-        """Nothing to let go of."""
+def pieces(recording: Recording, block: int) -> Iterator[Frame]:
+    """The frames of a recording, each from a buffer that is overwritten after some: as live sources do."""
+    buffer = np.zeros((block, *recording.frames.shape[1:]), np.int16)
+    for i, frame in enumerate(frames_of(recording)):
+        if i % block == 0:
+            part = recording.frames[i : i + block]
+            buffer[:] = -1
+            buffer[: len(part)] = part
+        yield structs.replace(frame, counts=buffer[i % block])
 
 
 def _events(source: Source) -> Contacts:
@@ -95,7 +84,7 @@ def chunked(recording: Recording, folder: Path, sizes: Sequence[int]) -> Iterato
             write(parts / f"{number:05d}.npz", _part(recording, start, start + size), compress=False)
         frames = f"{size} frame{'s'[: size > 1]}"
         yield f"files of {frames}", _events(ReplaySource(parts, speed=float("inf")))
-        yield f"blocks of {frames}", _events(Pieces(recording, size))
+        yield f"blocks of {frames}", _events(Given(recording.acquisition, pieces(recording, size)))
 
 
 def whole(recording: Recording, folder: Path) -> Contacts:

@@ -9,7 +9,8 @@ from math import hypot, isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.scenes.numerics.watch import Run, frames_of, run
+from tests.scenes.numerics.watch import Run, run
+from tests.scenes.stages import frames_of
 from touchd.config.schema import Settings
 from touchd.localization.model import Model
 from touchd.recording.data import Recording

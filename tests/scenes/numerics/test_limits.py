@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from tests.scenes.numerics.degenerate import in_nodes, on_discs, on_the_edge, taps_at
 from tests.scenes.numerics.limits import Case, Verdict, cases, changed, image, judge, moments, tones, tried
-from tests.scenes.numerics.watch import frames_of, run
+from tests.scenes.numerics.watch import run
+from tests.scenes.stages import frames_of
 from touchd.localization.fit import Bins
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.model import Model

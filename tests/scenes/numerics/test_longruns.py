@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from tests.scenes.numerics.independence import contacts_of
 from tests.scenes.numerics.longruns import SHAPE, long_gate, long_noise, resting_baseline, year_of_clock
-from tests.scenes.numerics.watch import Run, frames_of, run
+from tests.scenes.numerics.watch import Run, run
+from tests.scenes.stages import frames_of
 from touchd.config.schema import GateSettings
 from touchd.detection.gate import Gate
 from touchd.event import TouchEvent, encode

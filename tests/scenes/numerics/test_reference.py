@@ -14,7 +14,8 @@ from tests.fields import Field, gauss_newton, look_up, make_atlas
 from tests.scenes.numerics import reference
 from tests.scenes.numerics.agreement import FEATURES_RELATIVE, ROUNDING_MM, compared, networks, truncations
 from tests.scenes.numerics.double import double_model, narrow_arrays
-from tests.scenes.numerics.watch import frames_of, run
+from tests.scenes.numerics.watch import run
+from tests.scenes.stages import frames_of
 from touchd.evaluation.dataset import make_dataset
 from touchd.frame import Acquisition
 from touchd.localization.features import Features

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,6 @@ from touchd.localization.fit import Bins, Fit, shapes_of
 from touchd.localization.model import Model, default_model_path
 from touchd.localization.weighted_fit import Place
 from touchd.pipeline import Pipeline
-from touchd.recording.data import Recording
 from touchd.service.messages import Messages
 from touchd.touch import Touch
 
@@ -79,14 +78,6 @@ class Run:
     def touches(self) -> list[TouchEvent]:
         """The touch messages."""
         return [event for event in self.events if isinstance(event, TouchEvent)]
-
-
-def frames_of(recording: Recording, t0_ns: int = 0, first: int = 0) -> Iterator[Frame]:
-    """The frames of a recording, its clock and counter begun elsewhere."""
-    for counts, sequence, t_ns in zip(
-        recording.frames, recording.sequence.tolist(), recording.timestamp_ns.tolist(), strict=True
-    ):
-        yield Frame(counts, first + sequence, t0_ns + t_ns, 0)
 
 
 def run(
