@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.errors import SimulationError
-from touchd.frame import Acquisition
 from touchd.lab.plates.spectral_elements import Solid
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
@@ -30,12 +28,9 @@ chirp of 50 to 100 kHz has 1e-4 of its energy beyond."""
 
 
 class SolidInstrument(Instrument):
-    """The instrument of a saved solid plate; for the parameters see `Instrument`.
+    """The instrument of a saved solid plate, with the frames that `Instrument` has by default."""
 
-    Raises SimulationError if frames are longer than what was simulated, or the chirps' tails are asked for.
-    """
-
-    def __init__(self, path: Path, *, acquisition: Acquisition | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         with np.load(path) as file:
             saved = {name: file[name] for name in file.files}
         solid = Solid(**{name[6:]: value for name, value in saved.items() if name.startswith("solid_")})
@@ -48,10 +43,7 @@ class SolidInstrument(Instrument):
             mass_g=float(solid.mass_g),
         )  # fmt: skip
         bare = loaded_modes(plate, layout.model_copy(update={"mass_g": 0.0}))
-        super().__init__(plate, layout=layout, acquisition=acquisition, loss=float(solid.loss), modes=bare)
-        a, length_s = self.acquisition, (len(saved["pulse"]) - 1) / float(saved["rate_hz"])
-        if self._record.steady or a.samples / a.sample_rate_hz > length_s:
-            raise SimulationError(f"{1e3 * length_s:g} ms were simulated", "acquisition", "record less, without a tail")
+        super().__init__(plate, layout=layout, loss=float(solid.loss), modes=bare)
         self.response = _SolidResponse(self.response, saved)
         self._tables()
 
