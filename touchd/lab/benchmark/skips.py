@@ -12,11 +12,11 @@ from touchd.config.schema import Settings
 from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
 from touchd.lab.benchmark.daemon import FOREVER_S
-from touchd.lab.benchmark.loop import PERIOD_NS, Loop, LoopSource
+from touchd.lab.benchmark.loop import PERIOD_NS, Loop
 from touchd.lab.benchmark.results import EstimatorResult, SkipResult
 from touchd.lab.benchmark.stopwatch import Stopwatch, ratio, spread
 from touchd.localization.model import Model
-from touchd.service.daemon import make_pipeline
+from touchd.pipeline import Pipeline
 from touchd.service.messages import Messages
 
 BATCH = 25
@@ -31,8 +31,7 @@ class _Played:
         settings = Settings.model_validate(
             {"skip": {name: skip}, "baseline": {"absorb_s": FOREVER_S}, "model": {"path": str(model.path)}}
         )
-        source = LoopSource(loop, math.inf, 0.0)
-        self._pipeline = make_pipeline(source, settings, model, notify=lambda _reason, _fields: None)
+        self._pipeline = Pipeline(loop.acquisition, model, settings)
         self._messages = Messages(settings, lambda topic: name != "unheard" and topic == "touch")
         self._frames = (Frame(counts, i, i * PERIOD_NS, 0) for i, counts in enumerate(loop.counts()))
         self.watch = Stopwatch()
