@@ -1,16 +1,14 @@
-"""Each touched frame is shown to a field atlas of the twin, as the daemon would show it."""
+"""Each touched frame is shown to the shipped field atlas, as the daemon would show it."""
 
 from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from tests.system.evaluation.twinatlas import twin_atlas
 from touchd.cli.evaluate import command
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.single_frames import TouchedFrames, find_with, see, touched_frames
@@ -25,8 +23,9 @@ MARGIN_MM = 55.0
 
 
 @pytest.fixture(scope="module")
-def atlas(instrument: Instrument) -> Atlas:
-    return twin_atlas(instrument, MARGIN_MM - 10.0)
+def atlas(atlas_model: Model) -> Atlas:
+    assert atlas_model.atlas is not None
+    return atlas_model.atlas
 
 
 @pytest.fixture(scope="module")
@@ -64,15 +63,14 @@ def test_any_order(atlas: Atlas, model: Model, known: dict[str, TouchedFrames]) 
     assert there == back[::-1]
 
 
-def test_verb(atlas: Atlas, model: Model, instrument: Instrument, tmp_path: Path) -> None:
+def test_verb(atlas: Atlas, instrument: Instrument, tmp_path: Path) -> None:
     """`touchd evaluate` takes the atlas beside the model."""
     path = Path(shutil.copy(default_model_path(), tmp_path / "plate.onnx"))
-    about = atlas.description.model_copy(update={"data_sha256": model.description.data_sha256})
     write(tmp_path / "touches.npz", simulate_touches(40, seed=42, instrument=instrument, margin_mm=MARGIN_MM))
     medians = []
     for _ in range(2):
         done = CliRunner().invoke(command, [str(path), str(tmp_path / "touches.npz"), "--json"])
         assert done.exception is None, done.output
         medians.append(json.loads(done.output)["median_mm"])
-        save_atlas(replace(atlas, description=about), atlas_path(path))
+        save_atlas(atlas, atlas_path(path))
     assert medians[1] < 0.2 * medians[0]
