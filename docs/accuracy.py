@@ -35,6 +35,7 @@ from touchd.evaluation.plots.maps import draw_maps
 from touchd.evaluation.plots.session import draw_session
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.localization.atlas import Atlas
+from touchd.localization.features import band_bins
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import read, write
@@ -106,8 +107,7 @@ def field(bench: Bench) -> None:
     wanted = round(FIELD_HZ * d.acquisition.samples / d.acquisition.sample_rate_hz)
     u = atlas_field(bench.atlas, places)
     learned = u.value[:, FIELD_CHANNEL, d.bins.index(wanted)]
-    band = Model(MODEL, atlas=False).description.acquisition
-    at = wanted - int(np.ceil(band.chirp.start_hz * band.samples / band.sample_rate_hz + 1e-9))
+    at = band_bins(d.acquisition).tolist().index(wanted)
     contacts = [Contact(x, y, 20.0, "silicone") for x, y in places.tolist()]
     blocks = [contacts[i : i + 500] for i in range(0, len(contacts), 500)]
     true = np.concatenate([twin_values(bench.instrument, some, d.taper)[:, FIELD_CHANNEL, at] for some in blocks])

@@ -22,7 +22,6 @@ from touchd.localization.atlas import Atlas
 from touchd.localization.features import band_bins
 from touchd.training.field.few_touches import Product, basis_of, covariance, product_of
 from touchd.training.field.place import FieldMap
-from touchd.training.field.regression import distances
 
 MOST_STAYS = 0.95
 """Of taps left out no more than this share of the lack stays, or the field does."""
@@ -85,12 +84,12 @@ def with_waves(
         position_mm, field = fitted.position_mm, on_grid.copy()
         lack, left = 0.0, 0.0
         for b, (product, k) in enumerate(zip(products, wavenumbers.tolist(), strict=True)):
-            near = _covariance(position_mm, position_mm, k)
+            near = covariance(position_mm, position_mm, k)
             emitter, receivers = product.waves_at(position_mm)
             sent, received, left_out = _missing_waves(
                 missing[:, :, b], weight[:, b], emitter, receivers, near, lacking, together
             )
-            far = _covariance(grid_mm, position_mm, k)
+            far = covariance(grid_mm, position_mm, k)
             sent, received = far @ sent, far @ received
             field[:, :, b] += waves[b][0][:, None] * received + sent[:, None] * (waves[b][1] + received)
             lack += float(weight[:, b] @ np.square(np.abs(missing[:, :, b])).sum(axis=1))
@@ -168,10 +167,6 @@ def _products(field: FieldMap, wavenumbers_per_mm: Floats, atlas: Atlas) -> list
         product_of(basis_of(places, k), part, one, _PRODUCT_NOISE * float(np.square(np.abs(part)).mean()))
         for k, part in zip(wavenumbers_per_mm.tolist(), np.moveaxis(values, 2, 0), strict=True)
     ]
-
-
-def _covariance(one_mm: Floats, other_mm: Floats, wavenumber_per_mm: float) -> Floats:
-    return covariance(distances(one_mm, other_mm).astype(np.float64), wavenumber_per_mm)
 
 
 def _wavenumbers_per_mm(atlas: Atlas) -> Floats:

@@ -236,8 +236,8 @@ def _tilt(tilts: Sequence[tuple[float, float]], acquisition: Acquisition, nu_rad
     """
     if not len(tilts):
         return None
-    chirp_hz = acquisition.chirp.start_hz, acquisition.chirp.stop_hz
-    middle, half = (max(chirp_hz) + min(chirp_hz)) / 2, abs(chirp_hz[1] - chirp_hz[0]) / 2
+    low_hz, high_hz = acquisition.chirp.band_hz
+    middle, half = (high_hz + low_hz) / 2, (high_hz - low_hz) / 2
     deg, db = np.array(tilts).T
     rate = np.log(10) / 20 * db + 1j * np.deg2rad(deg)
     return np.asarray(np.exp(rate[:, None] * (nu_rad_s / (2 * np.pi) - middle) / half))

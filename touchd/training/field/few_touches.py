@@ -111,7 +111,7 @@ class Basis:
 
     def at(self, positions_mm: Floats) -> Floats:
         """Evaluate the functions at positions (k, 2), shape (k, m)."""
-        near = covariance(distances(positions_mm, self.pivots_mm).astype(np.float64), self.wavenumber_per_mm)
+        near = covariance(positions_mm, self.pivots_mm, self.wavenumber_per_mm)
         return np.asarray(solve_triangular(self.factor, near.T, lower=True, check_finite=False).T)
 
 
@@ -144,9 +144,12 @@ class Product:
         return np.asarray(_sum(functions, self.emitter) * _sum(functions, self.receivers), np.complex64)
 
 
-def covariance(distance_mm: Floats, wavenumber_per_mm: float) -> Floats:
-    """Return a wave's covariance at distances (mm) of any shape, 1 at 0; linear interpolation, error 1e-5."""
-    at = np.asarray(distance_mm * (wavenumber_per_mm / _NODE), np.float64)
+def covariance(one_mm: Floats, other_mm: Floats, wavenumber_per_mm: float) -> Floats:
+    """Return a wave's covariance between places (n, 2) and (m, 2), (n, m), 1 at a place itself.
+
+    By linear interpolation, with an error of 1e-5.
+    """
+    at = distances(one_mm, other_mm).astype(np.float64) * (wavenumber_per_mm / _NODE)
     below = at.astype(np.intp)  # by its index: to search for each distance took half of a training on few touches
     nodes_mm = np.arange(below.max(initial=0) + 2) * (_NODE / wavenumber_per_mm)
     table = regression.covariance(nodes_mm, wavenumber_per_mm, WHITE_SHARE, waves=1, margin=BAND_MARGIN)
@@ -156,7 +159,7 @@ def covariance(distance_mm: Floats, wavenumber_per_mm: float) -> Floats:
 
 def basis_of(position_mm: Floats, wavenumber_per_mm: float) -> Basis:
     """Return the basis of waves at touches (n, 2), by a pivoted Cholesky factor."""
-    system = covariance(distances(position_mm, position_mm).astype(np.float64), wavenumber_per_mm)
+    system = covariance(position_mm, position_mm, wavenumber_per_mm)
     factor, order, rank, _ = lapack.dpstrf(system, tol=CUT, lower=1)
     factor, order = np.tril(factor)[:, :rank], order - 1
     at_touches = np.empty_like(factor)

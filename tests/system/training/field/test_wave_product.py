@@ -9,7 +9,7 @@ from tests.unit.training.waves import Waves, touch
 from touchd.training.data.inspection import degrees_of_freedom
 from touchd.training.field.few_touches import CUT, FEW, basis_of, covariance, learn_by_waves, product_of
 from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
-from touchd.training.field.regression import Prior, Touches, distances
+from touchd.training.field.regression import Prior, Touches
 
 SIZE_MM = 80.0
 K = np.linspace(0.26, 0.3, 5)
@@ -62,7 +62,7 @@ def test_sums_of_its_functions_are_waves_of_the_covariance_at_the_touches_and_be
     np.testing.assert_allclose(basis.at(position_mm), basis.at_touches, atol=1e-6)
     everywhere = np.concatenate([position_mm, inner(100)])
     functions = basis.at(everywhere)
-    expected = covariance(distances(everywhere, everywhere).astype(np.float64), 0.3)
+    expected = covariance(everywhere, everywhere, 0.3)
     missed = np.diag(expected - functions @ functions.T)
     assert missed[: len(position_mm)].max() < CUT + 1e-6
     assert missed.min() > -1e-6, "never more than there is"
