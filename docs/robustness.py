@@ -10,7 +10,6 @@ networks of the paper's recipe are made in a temporary folder, or in one that is
 from __future__ import annotations
 
 import importlib
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from docs import measured
-from tests.scenes.numerics import agreement, curves, degenerate, independence, limits, longruns
+from tests.scenes.numerics import agreement, curves, degenerate, limits, longruns
 from tests.scenes.numerics.curvepage import ATLAS, HEADINGS, NETWORK, PAPER, answer_rows, draw, small
 from tests.scenes.numerics.watch import run
 from tests.scenes.stages import frames_of
@@ -39,7 +38,6 @@ PAGE = ROOT / "docs" / "robustness.md"
 TRAINING_TOUCHES, TRAINING_SEED, PAPER_SEED = 6404, 1, 1
 TOUCHES = 400
 """Of each point of a curve."""
-NETWORK_TOUCHES, NETWORK_SEED = 1000, 7290
 SCENE_SEED = 21
 TAP_SEEDS = (31, 32)
 TONE_LEVELS_DB = (-60.0, -50.0, -40.0, -20.0, 0.0)
@@ -144,32 +142,6 @@ def float64(bench: Bench) -> None:
 def _spread(lengths_mm: Sequence[float]) -> tuple[str, str, str]:
     median, p95, most = np.percentile(lengths_mm or [0.0], [50, 95, 100]).tolist()
     return small(median), small(p95), small(most)
-
-
-def cut_up(bench: Bench) -> None:
-    """Measure what precision, batch, threads and chunks change."""
-    assert bench.model.atlas is not None
-    recording = simulate_touches(NETWORK_TOUCHES, seed=NETWORK_SEED, instrument=bench.instrument)
-    data = make_dataset(recording)
-    found = agreement.networks(data.residual)
-    found.append(agreement.atlas_shift(recording, bench.model.atlas))
-    found += [
-        agreement.NetworkShift(f"network, {s.name}", s.median_mm, s.p95_mm, s.most_mm)
-        for s in independence.by_batch_and_threads(data.residual)
-    ]
-    rows = [(s.name, small(s.median_mm), small(s.p95_mm), small(s.most_mm)) for s in found]
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        scene = simulate_scene("two", seed=SCENE_SEED, instrument=bench.instrument)
-        entire = independence.whole(scene, folder)
-        pieces = list(independence.chunked(scene, folder, (1, 7, 64, 1000)))
-        pieces += [
-            (f"{n} BLAS thread{'s'[: n > 1]}", independence.with_blas_threads(folder / "whole.npz", n)) for n in (1, 2)
-        ]
-    for what, contacts in pieces:
-        same = "0, to the bit" if contacts == entire else small(independence.farthest_mm(contacts, entire))
-        rows.append((f"all events of `two`, {what}", "", "", same))
-    measured.data(PAGE, "cut_up", (f"{NETWORK_TOUCHES} touches", "median_mm", "p95_mm", "most_mm"), rows)
 
 
 def _cells(verdict: limits.Verdict) -> tuple[object, ...]:
@@ -313,7 +285,7 @@ def learning(bench: Bench) -> None:
 
 
 PARTS: dict[str, Callable[[Bench], None]] = {
-    part.__name__: part for part in (float64, cut_up, limit, tones, conditioning, long)
+    part.__name__: part for part in (float64, limit, tones, conditioning, long)
 }
 PARTS |= {axis.name: curve(axis) for axis in curves.AXES}
 PARTS["learning"] = learning

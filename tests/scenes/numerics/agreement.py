@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 from math import dist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tests.scenes.numerics import reference
 from tests.scenes.numerics.watch import Look, Run, run
 from tests.scenes.stages import frames_of
-from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.event import Contact
 from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model, default_model_path
@@ -134,39 +132,11 @@ def truncations(look: Look, features: reference.Floats, atlas: Atlas) -> Iterato
             yield dist(place[:2], there_mm), place.sigma_mm
 
 
-@dataclass(frozen=True, slots=True)
-class NetworkShift:
-    """What a network's positions differ by, mm: medians, 95th percentiles and the largest, over touches."""
-
-    name: str
-    median_mm: float
-    p95_mm: float
-    most_mm: float
-
-
-def shift(name: str, one_mm: NDArray[np.floating], other_mm: NDArray[np.floating]) -> NetworkShift:
-    """The distances between two sets of places, (n, 2) each."""
-    off = np.linalg.norm(np.asarray(one_mm, np.float64) - other_mm, axis=1)
-    return NetworkShift(name, float(np.median(off)), float(np.percentile(off, 95)), float(off.max()))
-
-
-def networks(features: np.ndarray) -> list[NetworkShift]:
-    """The shipped networks on features (n, inputs): float32 beside float64, and int8 beside float32."""
+def networks(features: np.ndarray) -> tuple[reference.Floats, reference.Floats]:
+    """How far the shipped network's places are from float64's, and int8's from them: (n,) each, mm."""
     path = default_model_path()
-    int8 = path.with_name("int8.onnx")
-    said = Model(path, atlas=False).run(features)["position_mm"]
+    small, said = (
+        Model(each, atlas=False).run(features)["position_mm"] for each in (path.with_name("int8.onnx"), path)
+    )
     wide = reference.network(path, features)["position_mm"]
-    small = Model(int8, atlas=False).run(features)["position_mm"]
-    return [shift("network, float32 beside float64", said, wide), shift("network, int8 beside float32", small, said)]
-
-
-def atlas_shift(recording: Recording, atlas: Atlas) -> NetworkShift:
-    """Places on the atlas as touch-downs, begun where the int8 network sees them, beside the float32 one's."""
-    frames = touched_frames(recording)
-    path = default_model_path()
-    models = (Model(path, atlas=False), Model(path.with_name("int8.onnx"), atlas=False))
-    single, small = (see(find_with(model, atlas, frames), frames) for model in models)
-    both = [(a.found[0], b.found[0]) for a, b in zip(single, small, strict=True) if len(a.found) == len(b.found) == 1]
-    places = np.array([[_place(one), _place(other)] for one, other in both])
-    name = f"atlas, begun by int8 beside float32 ({len(both)} placed once by both)"
-    return shift(name, places[:, 0], places[:, 1])
+    return np.linalg.norm(said - wide, axis=1), np.linalg.norm(small.astype(np.float64) - said, axis=1)
