@@ -87,7 +87,7 @@ class Bench:
         if not path.exists():
             share = touches / len(split(len(self.dataset), PAPER_SEED).train)
             train(self.training, path, RECIPES["paper-regression"], seed=PAPER_SEED, share=share)
-        return curves.trained_on(path)
+        return Model(path, atlas=False)
 
     def contenders(self, touches: int | None = None) -> dict[str, curves.Contender]:
         """Return the ways to place a finger, those that learn quickly from so many of the training touches."""

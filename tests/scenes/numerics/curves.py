@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,8 @@ from touchd.evaluation.dataset import Dataset, make_dataset
 from touchd.evaluation.matching import match_frames
 from touchd.evaluation.model_scores import judge
 from touchd.evaluation.single_frames import find_with, see, touched_frames
-from touchd.lab.reproduction.experiments import Correlation, Nearest
+from touchd.lab.reproduction.experiments import dictionary
 from touchd.localization.atlas import Atlas
-from touchd.localization.features import band_bins
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.twin.electronics import Dead, Electronics
@@ -81,13 +79,7 @@ def by_network(model: Model, *, refuses: bool = True) -> Contender:
 
 def by_dictionary(data: Dataset, rows: NDArray[np.int64], method: str) -> Contender:
     """kNN (k = 1) or GCC among the recorded touches of some rows, on residuals."""
-    a = data.acquisition
-    kept: Nearest | Correlation
-    if method == "kNN":
-        kept = Nearest(data.residual[rows], data.position_mm[rows])
-    else:
-        f_hz = band_bins(a) * a.sample_rate_hz / a.samples
-        kept = Correlation(data.residual[rows], data.position_mm[rows], a.channels, f_hz)
+    kept = dictionary(data, data.residual, rows, method)
 
     def answer(_recording: Recording, asked: Dataset) -> Answer:
         return Answer(_distance(kept.locate(asked.residual), asked.position_mm), len(asked))
@@ -166,8 +158,3 @@ def measured(
         data = make_dataset(recording, least=1)
         rows.append({name: contender(recording, data) for name, contender in contenders.items()})
     return rows
-
-
-def trained_on(path: Path) -> Model:
-    """A network of the paper's recipe, which has neither confidence nor an atlas."""
-    return Model(path, atlas=False)

@@ -9,29 +9,27 @@ from hypothesis import strategies as st
 
 from tests.conftest import KNOWN
 from touchd.evaluation.dataset import Dataset
-from touchd.lab.reproduction.experiments import LAGS_S, Correlation, Nearest
-from touchd.localization.features import band_bins
+from touchd.lab.reproduction.experiments import LAGS_S, Correlation, Nearest, dictionary
 
 
-def correlation(dataset: Dataset) -> Correlation:
-    a = dataset.acquisition
-    f_hz = band_bins(a) * a.sample_rate_hz / a.samples
-    return Correlation(dataset.residual[:KNOWN], dataset.position_mm[:KNOWN], a.channels, f_hz)
+def known(dataset: Dataset, method: str) -> Nearest | Correlation:
+    return dictionary(dataset, dataset.residual, np.arange(KNOWN), method)
 
 
 def test_each_recorded_touch_is_found_at_its_own_place(dataset: Dataset) -> None:
-    known, place_mm = dataset.residual[:KNOWN], dataset.position_mm[:KNOWN]
-    np.testing.assert_array_equal(Nearest(known, place_mm).locate(known), place_mm)
-    np.testing.assert_array_equal(correlation(dataset).locate(known), place_mm)
-    np.testing.assert_allclose(np.diag(correlation(dataset).correlate(known)), 1, atol=1e-5)
+    recorded, place_mm = dataset.residual[:KNOWN], dataset.position_mm[:KNOWN]
+    np.testing.assert_array_equal(known(dataset, "kNN").locate(recorded), place_mm)
+    correlation = known(dataset, "GCC")
+    assert isinstance(correlation, Correlation)
+    np.testing.assert_array_equal(correlation.locate(recorded), place_mm)
+    np.testing.assert_allclose(np.diag(correlation.correlate(recorded)), 1, atol=1e-5)
 
 
 def test_touches_never_seen_are_placed_near_by(dataset: Dataset) -> None:
     """Both are better than the mean of all places by far."""
     unseen, place_mm = dataset.residual[KNOWN:], dataset.position_mm[KNOWN:]
     guess = np.linalg.norm(place_mm - place_mm.mean(axis=0), axis=1).mean()
-    nearest = Nearest(dataset.residual[:KNOWN], dataset.position_mm[:KNOWN])
-    for estimator in (nearest, correlation(dataset)):
+    for estimator in (known(dataset, "kNN"), known(dataset, "GCC")):
         error = np.linalg.norm(estimator.locate(unseen) - place_mm, axis=1)
         print(f"{type(estimator).__name__}: mean {error.mean():.2f} mm, of a blind guess {guess:.2f} mm")
         assert np.median(error) < guess / 4
