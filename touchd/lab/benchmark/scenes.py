@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.errors import SimulationError
 from touchd.evaluation.dataset import residual_of
 from touchd.lab.benchmark.loop import Loop
 from touchd.twin.electronics import Digitiser, Electronics
@@ -122,8 +121,6 @@ def make_loop(name: str, instrument: Instrument) -> Loop:
     down = np.isfinite(recording.contacts_mm[:, :, 0]).sum(axis=1) == fingers
     down[:LEARN_FRAMES] = False
     runs = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(np.int8))).reshape(-1, 2)
-    if not len(runs):
-        raise SimulationError(f"no {fingers} fingers are ever down together", "frames", "simulate more")
     first, last = runs[(runs[:, 1] - runs[:, 0]).argmax()].tolist()
     ramp = RAMP_FRAMES if fingers else 0
     return Loop(recording.acquisition, recording.frames[: last - ramp], first + ramp)
