@@ -14,13 +14,21 @@ from touchd.config.load import load
 from touchd.config.render import fields
 from touchd.config.schema import Settings
 from touchd.errors import ConfigError
+from touchd.frame import MAX_SAMPLES
 
 _NUMBERS = (
     -1, 0, 1, 2, 10**9, 10**20, 10**400, 5e-324, 1e-300, 1e-17, 1e-9, 0.1, 0.5, 1 - 2**-53, 1e5, 1e9, 1e17, 1e300,
     1.7e308,
 )  # fmt: skip
 _TEXTS = ("", "a", "\0", "a\0b", "é ,'\"\n", "x" * 5000)
-_LISTS: tuple[list[Any], ...] = ([], [1, 2, 3], [1e3, 2e3], [0, 0, 200, 100], ["palm", "water"])
+_LISTS: tuple[list[Any], ...] = (
+    [],
+    [1, 2, 3],
+    [1e3, 2e3],
+    [0, 0, 200, 100],
+    ["palm", "water"],
+    [[12, 12], [-1e5, 1e3]],
+)
 _ENDPOINTS = ("ipc://a\0b", "ipc:///" + "x" * 500, "tcp://:", "tcp://127.0.0.1:99999", "tcp://*:*")
 
 
@@ -79,6 +87,7 @@ def any_settings(draw: st.DrawFn) -> Settings:
     if tables["audio"]["loopback"] in tables["audio"]["channels"]:
         del tables["audio"]["loopback"]
     rate_hz = tables["audio"]["sample_rate_hz"]
-    low_hz = draw(st.floats(1, 0.4 * rate_hz))
+    low_hz = draw(st.floats(20, 0.4 * rate_hz))
     tables["audio"]["band_hz"] = low_hz, draw(st.floats(1.01 * low_hz, 0.49 * rate_hz))
+    tables["audio"]["chirp_s"] = draw(st.floats(max(1e-4, 1.001 / low_hz), min(0.1, 0.9 * MAX_SAMPLES / rate_hz)))
     return Settings.model_validate(tables)

@@ -79,6 +79,7 @@ def examine(settings: DeviceSettings, system: Path = SYSTEM) -> list[Finding]:
     device = found[0]
     bus, address = (read(device / number).zfill(3) for number in ("busnum", "devnum"))
     name = " ".join(filter(None, (read(device / "product"), read(device / "serial"))))
+    name = "".join(c if c.isprintable() else "?" for c in name)  # a device may say anything to a terminal
     text = f"{ids} {name} on bus {bus} address {address}"
     several = f"; {len(found)} such devices, touchd uses the first" if len(found) > 1 else ""
     findings = [

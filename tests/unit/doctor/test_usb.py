@@ -66,6 +66,12 @@ def test_of_several_the_serial_number_decides(tmp_path: Path) -> None:
     assert "'A', 'B'" in missing.text
 
 
+def test_a_device_commands_no_terminal(tmp_path: Path) -> None:
+    """What a device says of itself is printed without control characters."""
+    plug(tmp_path, product="D\x1b[2JAQ", serial="\x9b0m7")
+    assert examine(DeviceSettings(), tmp_path)[0].text == "1209:0001 D?[2JAQ ?0m7 on bus 001 address 004"
+
+
 def test_a_node_that_is_not_there_fails(tmp_path: Path) -> None:
     plug(tmp_path).unlink()
     assert levels(tmp_path)[1] == ("permissions", "failure")
