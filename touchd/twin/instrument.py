@@ -85,7 +85,8 @@ class Instrument:
         elif modes is None:
             modes = mounted_modes(plate, self.layout, mounting, loss, highest_hz)
         self._loss = loss
-        self.response = Response(plate, modes, nu, 0.0 if np.iscomplexobj(modes.w) else loss)
+        supports = [support for support in mounting.on(plate) if support.preload_n is not None]
+        self.response = Response(plate, modes, nu, 0.0 if np.iscomplexobj(modes.w) else loss, supports)
         self._t = self._record.time_s
         if len(tilts) not in (0, receivers):
             raise SimulationError(f"{len(tilts)} tilts for {receivers} receivers", "tilts", "give one per receiver")
@@ -159,7 +160,7 @@ class Instrument:
     def _at(self, scale: float) -> Response:
         """Return the response of the plate with all modes' frequencies scaled, at the record's own frequencies."""
         r = self.response
-        return Response(self.plate, r.modes, r.nu_rad_s / scale, r.loss)
+        return Response(self.plate, r.modes, r.nu_rad_s / scale, r.loss, r.supports)
 
     def _tables(self) -> None:
         """Compute the emission, and the untouched signals with their time derivatives, at the temperature nodes."""

@@ -11,11 +11,11 @@ eigenproblem, symmetric (reciprocal) and with losses only (passive).
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
@@ -74,6 +74,19 @@ class Attachment(BaseModel):
     y_mm: tuple[float, float]
     round: bool = False
     support: Support = Support()
+    preload_n: float | None = Field(default=None, gt=0)
+    """Force that presses it on the plate, if nothing glues it: what fingers add couples it more (`pressing`)."""
+
+    @model_validator(mode="after")
+    def _pressed_is_round(self) -> Self:
+        if self.preload_n is not None and not self.round:
+            raise ValueError("preload_n: only round attachments can be pressed")
+        return self
+
+    @property
+    def middle_mm(self) -> tuple[float, float]:
+        """Place of its middle."""
+        return (self.x_mm[0] + self.x_mm[1]) / 2, (self.y_mm[0] + self.y_mm[1]) / 2
 
 
 class Mounting(BaseModel):
@@ -88,6 +101,8 @@ class Mounting(BaseModel):
     bottom: Edge = "free"
     pane: bool = False
     """Whether a display is bonded to the whole plate."""
+    preload_n: float | None = Field(default=None, gt=0)
+    """Of each pad along an edge, if nothing glues them."""
     attachments: tuple[Attachment, ...] = ()
     """Others."""
 
@@ -107,13 +122,30 @@ class Mounting(BaseModel):
                 along = [(middle - width / 2, middle + width / 2) for middle in middles.tolist()]
             for part in along:
                 x, y = (part, across) if axis else (across, part)
-                found.append(Attachment(x_mm=x, y_mm=y, round=kind == "pads", support=EDGES[kind]))
+                pad = kind == "pads"
+                found.append(Attachment(
+                    x_mm=x, y_mm=y, round=pad, support=EDGES[kind], preload_n=self.preload_n if pad else None
+                ))  # fmt: skip
         if self.pane:
             found.append(Attachment(x_mm=(0, size[0]), y_mm=(0, size[1]), support=PANE))
         return tuple(found)
 
 
 FREE = Mounting()
+FOOT_MM, FOOT_IN_MM = 10.0, 12.0
+"""Diameter of a foot, and how far in from both edges its middle is."""
+
+
+def feet(width_mm: float, height_mm: float, preload_n: float | None = None) -> tuple[Attachment, ...]:
+    """Return four rubber feet under a plate's corners; glued unless a force presses each."""
+    half_mm = FOOT_MM / 2
+    return tuple(
+        Attachment(
+            x_mm=(x_mm - half_mm, x_mm + half_mm), y_mm=(y_mm - half_mm, y_mm + half_mm), round=True,
+            support=EDGES["pads"], preload_n=preload_n,
+        )
+        for x_mm in (FOOT_IN_MM, width_mm - FOOT_IN_MM) for y_mm in (FOOT_IN_MM, height_mm - FOOT_IN_MM)
+    )  # fmt: skip
 
 
 def mounted_modes(
@@ -126,7 +158,8 @@ def mounted_modes(
     """
     attachments = mounting.on(plate)
     key = parameters_of(plate, layout, frequency_hz) | {
-        "mounting": [a.model_dump() for a in attachments], "loss": loss, "mounting version": VERSION,
+        "mounting": [a.model_dump(exclude={"preload_n"}) for a in attachments], "loss": loss,
+        "mounting version": VERSION,
     }  # fmt: skip
 
     def compute() -> dict[str, Floats]:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.twin.physics import chebyshev, legendre
+from touchd.twin.physics import chebyshev, legendre, pressing
 from touchd.twin.physics.contact import COMPLIANT_FREQUENCIES, RIGID_FREQUENCIES, face_of, impedance_of
 from touchd.twin.physics.finger import Contact, is_compliant
+from touchd.twin.physics.mounting import Attachment
 from touchd.twin.physics.plate import size_m
 from touchd.twin.physics.transducer import LoadedModes
 
@@ -23,6 +25,7 @@ FEW = 5
 is computed at a few temperatures only."""
 SMALL_DISC = (1, 4)
 """Rule for the averages over the discs of a compliant contact, of at most 1.3 mm radius: exact to 1e-4."""
+POINT_MM2 = 1e-6
 FAR, FAR_FREQUENCIES = 1.2, 32
 """What modes above this many times the highest frequency answer is smooth: it is computed at so few, and interpolated
 to 1e-12."""
@@ -35,12 +38,15 @@ class Response:
 
     A mode answers a force of frequency nu with 1 / (omega^2 (1 + i loss) - nu^2). A negative imaginary part of the
     angular frequencies `nu_rad_s`, shape (F,), damps the time signal. `loss`, of shape () or (F,), is the mounted
-    plate's loss factor; 0 with complex modes, which have it.
+    plate's loss factor; 0 with complex modes, which have it. Fingers press the plate on its `supports`.
     """
 
-    def __init__(self, plate: Plate, modes: LoadedModes, nu_rad_s: ArrayLike, loss: ArrayLike) -> None:
+    def __init__(
+        self, plate: Plate, modes: LoadedModes, nu_rad_s: ArrayLike, loss: ArrayLike,
+        supports: Sequence[Attachment] = (),
+    ) -> None:  # fmt: skip
         self.plate = plate
-        self.modes, self.loss = modes, loss
+        self.modes, self.loss, self.supports = modes, loss, supports
         self.nu_rad_s = np.asarray(nu_rad_s, dtype=np.complex128)
         # Where shapes are real, stacking the parts makes one real product of what would be two.
         self._parts = 1 if np.iscomplexobj(modes.w) else 2
@@ -111,9 +117,17 @@ class Response:
     def change(self, touches: Sequence[Sequence[Contact]], scale: Floats) -> Complex:
         """Change of the response by contacts, for n touches with the same numbers of coupled forces, c in all.
 
+        The result (n, R, F) is at the angular frequencies s nu, with s the factor `scale` (n,) of all the modes'
+        frequencies: the response at omega = s nu is that at nu, divided by s^2.
+        """
+        change = self._by_contacts(touches, scale)
+        return change + self._pressed(touches, scale) if self.supports else change
+
+    def _by_contacts(self, touches: Sequence[Sequence[Contact]], scale: Floats) -> Complex:
+        """Change of the response by the contacts alone, as `change` has it.
+
         Exact, multiple scattering included: -g_rc (1 + z g_cc)^-1 z g_ce with z = i omega Z (Woodbury's identity).
-        Equal touches share their receptances. `scale` (n,) is the factor s of all the modes' frequencies: the response
-        at omega = s nu is that at nu, divided by s^2. The result (n, R, F) is at the angular frequencies s nu.
+        Equal touches share their receptances.
         """
         which = {touch: k for k, touch in enumerate(dict.fromkeys(tuple(touch) for touch in touches))}
         distinct, rows = list(which), np.array([which[tuple(touch)] for touch in touches])
@@ -131,6 +145,23 @@ class Response:
             some = self._scattered([touch] * len(at), at, to_discs[:, [k] * len(at)], pairs[:, [k] * len(at)])
             result[mine] = np.tensordot(chebyshev.weights(scale[mine], at), some, 1) if len(at) < len(mine) else some
         return result
+
+    def _pressed(self, touches: Sequence[Sequence[Contact]], scale: Floats) -> Complex:
+        """Change of the response by how fingers press the plate on its supports, as `change` has it; to first order."""
+        rises = np.array([pressing.rises(self.supports, touch) for touch in touches])
+        return np.asarray(np.tensordot(rises / scale[:, None] ** 2, self._of_supports, 1))
+
+    @cached_property
+    def _of_supports(self) -> Complex:
+        """Change of the response if each support couples twice as much, to first order, shape (A, R, F)."""
+        found = []
+        for support in self.supports:
+            x_mm, y_mm, area_m2 = pressing.points(support)
+            shape = self.shape_at(x_mm, y_mm, np.full(len(x_mm), POINT_MM2))
+            to_discs = self.receptance(shape[..., None], self.modes.discs[:, None])  # (F, Q, 1 + R)
+            load = pressing.load(support.support, self.nu_rad_s)
+            found.append(-np.einsum("f,q,fq,fqr->rf", load, area_m2, to_discs[..., 0], to_discs[..., 1:]))
+        return np.stack(found)
 
     def _shapes(self, touches: Sequence[Sequence[Contact]]) -> Floats | Complex:
         """Deflection of each mode under each of the c forces of n touches, shape (M, n, c)."""
