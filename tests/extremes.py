@@ -90,4 +90,5 @@ def any_settings(draw: st.DrawFn) -> Settings:
     low_hz = draw(st.floats(20, 0.4 * rate_hz))
     tables["audio"]["band_hz"] = low_hz, draw(st.floats(1.01 * low_hz, 0.49 * rate_hz))
     tables["audio"]["chirp_s"] = draw(st.floats(max(1e-4, 1.001 / low_hz), min(0.1, 0.9 * MAX_SAMPLES / rate_hz)))
+    tables["model"]["feet_mm"] = draw(st.lists(st.tuples(st.floats(-1e5, 1e5), st.floats(-10, 300)), max_size=6))
     return Settings.model_validate(tables)

@@ -71,6 +71,8 @@ def expected(field: FieldInfo) -> str:
 def expected_item(field: FieldInfo) -> str:
     """Return what each item of a list must be."""
     item = get_args(field.annotation)[0]
+    if get_origin(item) is tuple:
+        return "a place, [x, y]"
     return "an address, tcp:// or ipc://" if get_origin(item) is Annotated else _kind(item)
 
 
@@ -84,6 +86,8 @@ def _kind(annotation: Any) -> str:
         item = arguments[0]
         if get_origin(item) is Literal:
             return f"a list of {', '.join(get_args(item))}"
+        if get_origin(item) is tuple:
+            return "a list of places, [x, y]"
         numbers = {int: "a list of whole numbers", float: "a list of numbers"}
         return numbers.get(item, "a list of addresses, tcp:// or ipc://")
     return _NAMES.get(annotation, str(annotation))

@@ -12,6 +12,8 @@ from pydantic import AfterValidator, Field, field_validator
 from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Section, refuse_key
 from touchd.config.rigs import AudioSettings, NiSettings
 
+Place = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
+
 
 class DeviceSettings(Section):
     """The DAQ."""
@@ -51,6 +53,10 @@ class ModelSettings(Section):
         3.0, ge=0, le=100, description="Least signal-to-noise ratio of a touch that the network alone places, dB."
     )
     max_sigma_mm: float = Field(5.0, ge=0.001, le=1e9, description="Largest standard error of a reported position, mm.")
+    feet_mm: tuple[Place, ...] = Field(
+        (), max_length=64, description="Where the plate lies on feet or pads that nothing glues, mm: fingers press it "
+        "on them, and they answer as light fingers would."
+    )  # fmt: skip
 
 
 class BaselineSettings(Section):

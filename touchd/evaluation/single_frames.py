@@ -94,7 +94,7 @@ def touched_frames(recording: Recording) -> TouchedFrames:
     return TouchedFrames(fingers_only(recording), touched, baseline_frames(recording.timestamp_ns, touched, untouched))
 
 
-def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
+def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames, settings: Settings | None = None) -> Find:
     """Return the daemon's localizer as a function of single frames, each of them a touch-down.
 
     The baseline is the mean of two untouched frames, so a residual has 1.5 times the noise power of a frame. The noise
@@ -106,7 +106,7 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
     if atlas is None:
         localizer = NetworkLocalizer(model, Settings.model_validate({"model": always}), None)
     else:
-        localizer = AtlasLocalizer(model, atlas, Settings(), None)
+        localizer = AtlasLocalizer(model, atlas, settings or Settings(), None)
     acquisition, counts = frames.recording.acquisition, frames.recording.frames
     chosen = np.linspace(0, len(frames) - 1, min(len(frames), MEMORY_FRAMES)).astype(int).tolist()
     pairs = [counts[frames.beside[i]].astype(np.float32) for i in chosen]

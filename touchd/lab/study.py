@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import click
 import numpy as np
 
+from touchd.config.schema import Settings
 from touchd.evaluation.cramer_rao import median_distance_mm, position_covariance, residual_noise, twin_field
 from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
 from touchd.evaluation.single_frames import find_with, see, touched_frames
@@ -24,7 +25,7 @@ from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics, Impulses, Tone
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
-from touchd.twin.physics.mounting import Mounting
+from touchd.twin.physics.mounting import Mounting, feet
 from touchd.twin.rig import IDEAL, Rig
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches
 
@@ -67,6 +68,9 @@ def _tilts(deg: float, db: float) -> Rig:
     return Rig(tilts=((deg, db), (-deg, db), (deg, -db), (-deg, -db)))
 
 
+DRY_FEET = Mounting(attachments=feet(*DEFAULT_PLATE.size_mm, preload_n=1.2))
+DRY_PADS = Mounting(left="pads", right="pads", top="pads", bottom="pads", preload_n=0.41)
+"""Both carry a pane of 0.5 kg."""
 EFFECTS = {
     "none": IDEAL,
     "jitter 5 ns": _electronics(jitter_s=5e-9),
@@ -80,6 +84,11 @@ EFFECTS = {
     "tilts 10 deg 1.5 dB": _tilts(10.0, 1.5),
     "tilts 30 deg 3 dB": _tilts(30.0, 3.0),
     "12 pads": Rig(mounting=Mounting(left="pads", right="pads", top="pads", bottom="pads")),
+    "4 glued feet": Rig(mounting=Mounting(attachments=feet(*DEFAULT_PLATE.size_mm))),
+    "4 dry feet": Rig(mounting=DRY_FEET),
+    "4 dry feet, named": Rig(mounting=DRY_FEET),
+    "12 dry pads": Rig(mounting=DRY_PADS),
+    "12 dry pads, named": Rig(mounting=DRY_PADS),
     "tape on one edge": Rig(mounting=Mounting(left="tape")),
     "clamp on one edge": Rig(mounting=Mounting(left="clamped")),
     "bonded pane": Rig(mounting=Mounting(pane=True)),
@@ -88,8 +97,9 @@ EFFECTS = {
 
 
 def place(
-    kind: Kind, rig: Rig, instrument: Instrument, touches: int, seed: int, model: Model
-) -> tuple[Matches, dict[str, Any], Recording]:
+    kind: Kind, rig: Rig, instrument: Instrument, touches: int, seed: int, model: Model,
+    settings: Settings | None = None,
+) -> tuple[Matches, dict[str, Any], Recording]:  # fmt: skip
     """Simulate touches, and place each as a touch-down on its own; return also the scores, and the first block."""
     seen, blocks, frames = [], [], -(-touches // kind.fingers)
     for number, start in enumerate(range(0, frames, BLOCK)):
@@ -98,7 +108,7 @@ def place(
             finger=kind.finger, fingers=kind.fingers, apart_mm=kind.apart_mm,
         )  # fmt: skip
         touched = touched_frames(recording)
-        seen += see(find_with(model, model.atlas, touched), touched)
+        seen += see(find_with(model, model.atlas, touched, settings), touched)
         blocks.append(recording)
     matches = match_frames(seen)
     (scores,) = scores_by_fingers(matches).values()
@@ -134,10 +144,12 @@ def bound(recording: Recording, finger: str, instrument: Instrument) -> float:
 
 
 def rigs(name: str, touches: int, seed: int, model: Model) -> Iterator[dict[str, Any]]:
-    """Yield the rows of one of `EFFECTS`: a silicone tip's and a fingertip's."""
+    """Yield the rows of one of `EFFECTS`: a silicone tip's, a fingertip's and a glove's."""
     rig = EFFECTS[name]
-    for contact in ("silicone tip", "fingertip"):
-        scores = place(KINDS[contact], rig, rig.instrument(DEFAULT_PLATE), touches, seed, model)[1]
+    feet_mm = [foot.middle_mm for foot in rig.mounting.on(DEFAULT_PLATE)] if name.endswith("named") else []
+    settings = Settings.model_validate({"model": {"feet_mm": feet_mm}})
+    for contact in ("silicone tip", "fingertip", "glove"):
+        scores = place(KINDS[contact], rig, rig.instrument(DEFAULT_PLATE), touches, seed, model, settings)[1]
         yield {
             "effect": name, "contact": contact, "touches": touches, "right_number": scores["count_right"],
             "median_mm": scores["median_mm"], "p95_mm": scores["p95_mm"], "within_1_mm": scores["all_within_1_mm"],

@@ -16,6 +16,7 @@ from touchd.localization.beside_palm import BesidePalm
 from touchd.localization.classify import Classifier
 from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
+from touchd.localization.feet import Feet
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.following import Follower, Prediction
@@ -56,12 +57,13 @@ class AtlasLocalizer:
         self._landing = Landing(self._estimator, self._solver, self._pursuit, self._noise, atlas.description)
         weighted = WeightedFit(atlas)
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise, weighted)
-        self._classifier = Classifier(atlas, self._noise, self._solver)
         self._beside = BesidePalm(atlas, self._plate, self._pursuit)
         self._size = ContactSize(atlas, self._noise)
         self._prediction = Prediction()
         self._refinement = Refinement(weighted)
         self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
+        self._feet = Feet(atlas, self._solver, self._noise, self._landing, self._follower)
+        self._classifier = Classifier(atlas, self._noise, self._solver, self._feet)
         self._still = StillFinger(atlas, self._solver)
         self._faces: list[Face | None] = []  # of the fingers followed, as their shapes were fitted
         self._model_fit = ModelFit()
@@ -74,6 +76,7 @@ class AtlasLocalizer:
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys; fingers are found again in the next frame."""
         self._settings = settings
+        self._feet.set_places(settings.model.feet_mm)
         self._touch_maker = TouchMaker(settings, layout)
         self.reset()
 
@@ -192,6 +195,9 @@ class AtlasLocalizer:
             bins, fit = self._follower.settle(self._plate, detection.hits, bins, fit, shaped=not held)
         self._follower.drop()
         signal, excess, confidence = noise.judge(bins, fit)
+        if excess > CRITERIA.search_above and (less := self._feet.take_out(detection, bins, fit, tracked=tracked)):
+            held, (bins, fit) = False, less
+            signal, excess, confidence = noise.judge(bins, fit)
         if tracked and excess > CRITERIA.fair and (gone := self._landing.elsewhere(
             detection, bins, signal, self._prediction.positions_mm
         )):  # fmt: skip
@@ -282,11 +288,7 @@ class AtlasLocalizer:
 
     def _rests(self, detection: Detection) -> bool:
         """Return whether the finger of the last fit is still where it was, but for the noise."""
-        if not self._still.armed or not self._touches or detection.hits:
-            return False
-        self._drift.correct(detection.residual, self._still.vector)
-        self._plate.nuisance.align(self._still.vector)
-        if not self._still.holds(2 * (1 + CRITERIA.noise_margin) * self._noise.noise_energy):
+        if not self._touches or not self._still.holds(detection, self._plate):
             return False
         self._prediction.rest(detection.t_ns)
         return True

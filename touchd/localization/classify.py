@@ -19,6 +19,7 @@ from operator import mul
 
 from touchd.localization.atlas import Atlas
 from touchd.localization.estimator import Finger
+from touchd.localization.feet import Feet
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.following import LONGEST_STEP_MM
@@ -70,10 +71,11 @@ class Classifier:
     atlas : Atlas
     noise : NoiseModel
     solver : GaussNewton
+    feet : Feet
     """
 
-    def __init__(self, atlas: Atlas, noise: NoiseModel, solver: GaussNewton) -> None:
-        self._noise, self._phase = noise, MassPhase(atlas, solver, noise)
+    def __init__(self, atlas: Atlas, noise: NoiseModel, solver: GaussNewton, feet: Feet) -> None:
+        self._noise, self._feet, self._phase = noise, feet, MassPhase(atlas, solver, noise)
         d = atlas.description
         self._errors, self.palm = PositionError(atlas, noise), Palm()
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
@@ -121,7 +123,9 @@ class Classifier:
         errors_mm = self._errors.sigmas_mm(fit, variance)
         self.sure, self.likelihood = True, 1.0
         of_palm = self.palm.contacts(fit, excess, bins.energy - noise_energy, t_ns, beside_mm)
-        doubtful = of_palm | self._cornered(fit.positions_mm) | self._edged(fit) if several else of_palm
+        doubtful = of_palm
+        if several:
+            doubtful = of_palm | self._cornered(fit.positions_mm) | self._edged(fit) | self._feet.among(fit, sizes)
         fingers: list[Finger] = []
         for k, lead in enumerate(leads):
             position, energy, size = fit.positions_mm[k], fit.energies[k], sizes[k]

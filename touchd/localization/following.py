@@ -193,7 +193,7 @@ class Follower:
 
     def expected(self, bins: Bins, t_ns: int, _signal: float) -> Fit:
         """Return the fingers of the last frame where they were going, not fitted: all energy is unexplained."""
-        positions = self._prediction.ahead(t_ns)
+        positions, self._dropped = self._prediction.ahead(t_ns), []
         nothing = [0.0] * len(positions)
         return Fit(positions, [0j] * len(positions), nothing, (), bins.energy)
 

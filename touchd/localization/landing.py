@@ -50,16 +50,17 @@ class Landing:
         wavenumbers = sorted(description.wavenumber_rad_m)
         self._half_wave_mm = math.pi / wavenumbers[len(wavenumbers) // 2] * 1e3 if wavenumbers else 0.0
 
-    def fit(self, detection: Detection, bins: Bins, signal: float) -> Fit:
+    def fit(self, detection: Detection, bins: Bins, signal: float, *, anywhere: bool = False) -> Fit:
         """Fit one finger from where the network sees it; a faint one, which it may misplace, from others too.
 
-        So is one near an edge, where the field repeats itself after half a wavelength along it.
+        So is one near an edge, where the field repeats itself after half a wavelength along it, and one that may be
+        `anywhere`, as the bins do not hold all of the frame.
         """
         estimate = self._estimator.estimate(detection)
         fits = []
         if math.isfinite(estimate.x_mm) and math.isfinite(estimate.y_mm):
             fits.append(self._solver.fit_one(bins, estimate.x_mm, estimate.y_mm, FIRST_STEPS))
-        if not fits or signal < CRITERIA.faint * self._noise.noise_energy:
+        if not fits or anywhere or signal < CRITERIA.faint * self._noise.noise_energy:
             fits += self._fit_candidates(bins)
         return self._best_along_edge(bins, min(fits, key=attrgetter("residual_energy"), default=no_fit(bins.energy)))
 

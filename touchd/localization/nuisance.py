@@ -162,7 +162,7 @@ class Nuisance:
             vector += step @ self._directions
             vector.dot(vector, self._energy)
             bins = Bins(vector, bins.mask, self._energy.item())
-            fit = _refit(bins, fit, solver, noise_energy)
+            fit = refit(bins, fit, solver, noise_energy)
         if self.active:
             self._followed, self._settled = float(self._returned[0]), float(self._delay.dot(bins.vector))
         return bins, fit
@@ -173,7 +173,7 @@ class Nuisance:
             vector += (self._settled - self._delay.dot(vector)) * self._delay
 
 
-def _refit(bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> Fit:
+def refit(bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> Fit:
     """Fit the fingers of a fit to other bins of the same frame."""
     positions = fit.positions_mm
     if fit.shapes:

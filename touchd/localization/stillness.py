@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from touchd.detection.baseline import Signal
+from touchd.detection.detection import Detection
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.fit import Bins, Fit, sigmas_mm
+from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
+from touchd.localization.plate_model import PlateModel
 
 STILL_MM = 0.05
 """A finger that moves less than this from one frame to the next may rest."""
@@ -84,8 +87,7 @@ class StillFinger:
     def __init__(self, atlas: Atlas, solver: GaussNewton) -> None:
         self._solver = solver
         dtype = atlas.coefficients.dtype
-        self.vector: Array = np.zeros(atlas.size, dtype)
-        """The bins to ask about, shape (channels * 2 * bins,): fill it, then call `holds`."""
+        self._difference: Array = np.zeros(atlas.size, dtype)
         self._seen: Array = np.zeros(atlas.size, dtype)
         self._mask: Array | None = None
         self._shift: Array = np.zeros((2, atlas.size), dtype)
@@ -93,12 +95,11 @@ class StillFinger:
         self._energy = np.zeros((), dtype)
         self._most_mm2 = 0.0
         self._most_energy = 0.0
-        self.armed = False
-        """Whether there is a frame to compare with."""
+        self._armed = False  # whether there is a frame to compare with
 
     def reset(self) -> None:
         """Compare with no frame."""
-        self.armed = False
+        self._armed = False
 
     def update(self, bins: Bins, fit: Fit, moved_mm: float, variance: float) -> None:
         """Keep a frame's bins to compare with, if the one finger fitted in them hardly moves.
@@ -112,8 +113,8 @@ class StillFinger:
         variance : float
             Noise variance of a value, counts squared.
         """
-        self.armed = moved_mm < STILL_MM and fit.fisher_information[0][0] > 0
-        if self.armed:
+        self._armed = moved_mm < STILL_MM and fit.fisher_information[0][0] > 0
+        if self._armed:
             np.copyto(self._seen, bins.vector)
             self._mask = bins.mask
             self._shift, information = self._solver.shift(bins, fit)
@@ -122,17 +123,22 @@ class StillFinger:
             self._most_mm2 = 2 * (STILL_SIGMAS * sigma_mm) ** 2
             self._most_energy = _LIFTED * fit.energies[0]
 
-    def holds(self, most_energy: float) -> bool:
-        """Return whether the finger of `vector` is where it was, but for the noise, and nothing has come beside it.
+    def holds(self, detection: Detection, plate: PlateModel) -> bool:
+        """Return whether a frame's finger is where it was, but for the noise, and nothing has come beside it.
 
         One Gauss-Newton step with the matrices of the last fit tells how far it seems to have moved. The energy of the
-        difference shows what else may have come: noise explains `most_energy`, counts squared.
+        difference shows what else may have come.
         """
-        difference = self.vector
+        if not self._armed or detection.hits:
+            return False
+        difference = self._difference
+        plate.drift.correct(detection.residual, difference)
+        plate.nuisance.align(difference)
         np.subtract(difference, self._seen, out=difference)
         if self._mask is not None:
             np.multiply(difference, self._mask, out=difference)
         difference.dot(difference, self._energy)
+        most_energy = 2 * (1 + CRITERIA.noise_margin) * plate.noise.noise_energy
         if not self._energy.item() <= min(most_energy, self._most_energy):
             return False
         np.dot(self._shift, difference, out=self._shifted)

@@ -27,10 +27,12 @@ from tests.system.soak.pieces import play_all, shared_instrument
 from touchd.config.schema import Settings
 from touchd.evaluation.matching import Position
 from touchd.evaluation.replay_scores import found_contacts
+from touchd.lab.study import DRY_FEET
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.fingers import END_S, FORCES_N, IDLE_S, press_warming
 from touchd.twin.scenes.timeline import Laid, Stage, anywhere, line, still
+from touchd.twin.simulate import DEFAULT_PLATE
 
 PIECE_S = 60.0
 HOURS = {"mixed": 3.0}
@@ -159,6 +161,15 @@ def warming(stage: Stage) -> None:
         at_s = stop_s + rng.uniform(0.3, 2.0)
 
 
+def lying(stage: Stage) -> None:
+    """Tap with gloves and silicone tips on a plate that lies on dry feet."""
+    rng, at_s = stage.rng, IDLE_S + 0.5
+    while (stop_s := at_s + rng.uniform(0.15, 0.8)) < stage.end_s - END_S:
+        kind = str(rng.choice(["robot", "glove"]))
+        stage.lay(kind, at_s, stop_s, still(*anywhere(stage)), force_n=rng.uniform(*FORCES_N[kind]))
+        at_s = stop_s + rng.uniform(0.3, 0.8)
+
+
 def mixed(stage: Stage) -> None:
     """Let two of drift, tones and drops happen while fingers tap or press, or a palm lie on a plate that drifts."""
     rng = stage.rng
@@ -176,7 +187,7 @@ def mixed(stage: Stage) -> None:
 
 SCENES: dict[str, Callable[[Stage], None]] = {
     "idle": idle, "drift": drift, "interference": interference, "drop": drop, "palm": palm, "warming": warming,
-    "mixed": mixed, "resting": resting,
+    "mixed": mixed, "resting": resting, "lying": lying,
 }  # fmt: skip
 
 
@@ -204,7 +215,11 @@ def judge(
     stage = piece(name, seed, seconds)
     if part_s is not None:
         _keep(stage, *part_s)
-    outcome = play(stage, instrument, seed, Settings.model_validate({"model": {"atlas": atlas}}))
+    feet_mm = []
+    if name == "lying":
+        instrument = Instrument(DEFAULT_PLATE, modes=instrument.response.modes, mounting=DRY_FEET)
+        feet_mm = [foot.middle_mm for foot in DRY_FEET.attachments]
+    outcome = play(stage, instrument, seed, Settings.model_validate({"model": {"atlas": atlas, "feet_mm": feet_mm}}))
     found = score(stage, outcome)
     places_mm, force_n = stage.truth()
     places_mm = np.where(np.isfinite(force_n)[..., None], places_mm, np.nan)
