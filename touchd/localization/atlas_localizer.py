@@ -62,7 +62,7 @@ class AtlasLocalizer:
         self._prediction = Prediction()
         self._refinement = Refinement(weighted)
         self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
-        self._feet = Feet(atlas, self._solver, self._noise, self._landing, self._follower)
+        self._feet = Feet(atlas, self._solver, self._noise, self._landing, self._follower, self._pursuit)
         self._classifier = Classifier(atlas, self._noise, self._solver, self._feet)
         self._still = StillFinger(atlas, self._solver)
         self._faces: list[Face | None] = []  # of the fingers followed, as their shapes were fitted

@@ -14,6 +14,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ[_name] = "1"
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -47,6 +48,8 @@ PATCHES = (
     (-20.0, -22.0, 170.0, 250.0), (20.0, -24.0, 140.0, 220.0),
 )  # fmt: skip
 """A resting palm: x and y, mm, and the range of the area, mm^2, of the balls of four fingers and the two heels."""
+APART_MM = 30.0
+"""Of two light fingers on a plate that lies on dry feet, at least."""
 BESIDE_MM = 60.0
 """Of a fingertip from the middle of a palm: 25 mm from its patches."""
 
@@ -162,11 +165,19 @@ def warming(stage: Stage) -> None:
 
 
 def lying(stage: Stage) -> None:
-    """Tap with gloves and silicone tips on a plate that lies on dry feet."""
+    """Tap with gloves and silicone tips, one or two at once, on a plate that lies on dry feet."""
     rng, at_s = stage.rng, IDLE_S + 0.5
-    while (stop_s := at_s + rng.uniform(0.15, 0.8)) < stage.end_s - END_S:
-        kind = str(rng.choice(["robot", "glove"]))
-        stage.lay(kind, at_s, stop_s, still(*anywhere(stage)), force_n=rng.uniform(*FORCES_N[kind]))
+    while (stop_s := at_s + rng.uniform(0.3, 0.8)) < stage.end_s - END_S:
+        kind, places = str(rng.choice(["robot", "glove"])), [anywhere(stage)]
+        while rng.uniform() < 0.5:
+            if math.dist(place := anywhere(stage), places[0]) > APART_MM:
+                places.append(place)
+                break
+        for column, place in enumerate(places):
+            late_s = column * rng.uniform(0, 0.15)
+            stage.lay(
+                kind, at_s + late_s, stop_s, still(*place), force_n=rng.uniform(*FORCES_N[kind]), column=column
+            )  # fmt: skip
         at_s = stop_s + rng.uniform(0.3, 0.8)
 
 

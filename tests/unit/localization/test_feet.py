@@ -42,6 +42,15 @@ def test_light_finger(x_mm: float, y_mm: float, seed: int) -> None:
     assert at(touches, (x_mm, y_mm), within_mm=0.5), touches
 
 
+@settings(max_examples=10)
+@given(st.floats(25, 45), st.floats(22, 68), st.floats(75, 95), st.floats(22, 68))
+def test_two_light_fingers(x_mm: float, y_mm: float, other_x_mm: float, other_y_mm: float) -> None:
+    """Two of them are found as they land together."""
+    rig = Rig(settings=NAMED)
+    touches = rig.land((x_mm, y_mm, LIGHT), (other_x_mm, other_y_mm, 0.8 * LIGHT), *feet(*PRESSED))
+    assert at(touches, (x_mm, y_mm), (other_x_mm, other_y_mm), within_mm=0.7), touches
+
+
 def test_feet_that_nobody_named() -> None:
     """What the names are for: without them the same frame has other contacts."""
     rig = Rig(settings=NO_SKIP)
