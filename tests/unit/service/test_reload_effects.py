@@ -52,6 +52,7 @@ CASES = {
     "model.keep_confidence": Case(1.0, at=DOWN_AT, beside={"model": {"min_confidence": 1.0}}),
     "model.min_snr_db": Case(100.0),
     "model.max_sigma_mm": Case(0.001),
+    "model.feet_mm": Case([(x, y) for x in range(20, 200, 40) for y in range(20, 200, 40)], "circle", network=False),
     "baseline.time_constant_s": Case(100.0, "drift"),
     "baseline.absorb_s": Case(0.5, "palm"),
     "gate.false_alarm_rate": Case(0.09),
