@@ -21,6 +21,8 @@ _MOST = 1 << 63
 _KNOWN = {topic.encode(): (topic, DECODERS[topic].decode) for topic in TOPICS}
 _SHARED_NS = 1_000_000_000
 """The clocks of one computer agree this well about the time between its start and now."""
+_SLOWEST_NS = 2_000_000_000
+"""Of a touch's messages that come more seldom it is not waited longer for the next."""
 _DRIFT = 2e-4
 """Two computers' clocks drift apart by less than this."""
 
@@ -98,7 +100,8 @@ class Stream:
         self._clock, self._wall_clock = clock, wall_clock
         self._last: dict[str, tuple[int, int]] = {}
         self._touched: TouchEvent | None = None  # the last touch, if a finger is down by it
-        self._touched_ns = 0
+        self._touched_ns = self._pace_ns = 0
+        self._down = False  # whether a finger was, by the last touch, though it may have been lifted for silence
         self._pressed: set[str] = set()
         self._epoch_ns: int | None = None
         self._shared = False
@@ -122,8 +125,10 @@ class Stream:
         follows = last is not None and event.seq == last[0] + 1 and event.t_ns >= last[1]
         if not self._is_stale(event, self._clock(), follows=follows):
             if isinstance(event, TouchEvent):
-                self._touched = event if any(contact.phase != "up" for contact in event.contacts) else None
-                self._touched_ns = self._heard_ns
+                if self._down:  # a touch goes on, at this pace
+                    self._pace_ns = min(self._heard_ns - self._touched_ns, _SLOWEST_NS)
+                self._down = any(contact.phase != "up" for contact in event.contacts)
+                self._touched, self._touched_ns = event if self._down else None, self._heard_ns
             elif isinstance(event, KeyEvent):
                 self._note(event)
             return event
@@ -139,10 +144,11 @@ class Stream:
     def lift_silent(self) -> TouchEvent | None:
         """Return once that nothing is touched if a finger was down, and no touch came for `SILENCE_NS`.
 
-        Of a stream in which nothing is stale, nothing is lifted.
+        Of a slow daemon or replay that is three times as long as between the last two. Of a stream in which nothing is
+        stale, nothing is lifted.
         """
-        touched = self._touched
-        if touched is None or self._clock() - self._touched_ns < SILENCE_NS or self._max_age_ns == math.inf:
+        touched, silent_ns = self._touched, max(SILENCE_NS, 3 * self._pace_ns)
+        if touched is None or self._clock() - self._touched_ns < silent_ns or self._max_age_ns == math.inf:
             return None
         self._touched = None
         return replace(touched, contacts=[])

@@ -94,6 +94,24 @@ def test_a_finger_that_was_down() -> None:
     assert computers.hears(0.0, "down")
 
 
+@pytest.mark.parametrize(("pace_s", "silent_s"), [(0.008, 0.3), (0.5, 1.5), (60.0, 6.0)])
+def test_silence(pace_s: float, silent_s: float) -> None:
+    """A finger is lifted after a silence: 0.3 s, or three times the pace of a slow daemon, but not ever longer."""
+    computers = Computers()
+    computers.hears(0.0, "up")
+    computers.now_s += 1000
+    for _ in range(3):
+        computers.hears(0.0, "move")
+        computers.now_s += pace_s
+    computers.now_s += silent_s - pace_s - 0.01
+    assert computers.stream.lift_silent() is None
+    computers.now_s += 0.02
+    lifted = computers.stream.lift_silent()
+    assert lifted is not None
+    assert lifted.contacts == []
+    assert computers.stream.lift_silent() is None
+
+
 def test_a_key_that_was_pressed() -> None:
     """Its release comes however late; a stale press never does, nor its release."""
     computers = Computers()
