@@ -19,7 +19,7 @@ from touchd.errors import ModelMismatch, RecordingValues
 from touchd.localization.atlas import atlas_path, save_atlas
 from touchd.localization.model import Description, default_model_path
 from touchd.localization.model_file import put_model
-from touchd.recording.format import write
+from touchd.recording.format import read, write
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.scenes.timeline import Stage, still
@@ -85,6 +85,17 @@ def test_moved_disc(folder: Path) -> None:
     checked = check_model(folder / "moved.onnx", folder / "use.npz")
     assert checked.verdict == "calibrate again", checked
     assert "%" in checked.reasons[0]
+
+
+def test_dead_disc(folder: Path) -> None:
+    """A disc that is not heard is named, though the others place touches."""
+    use = read(folder / "use.npz")
+    frames = use.frames.copy()
+    frames[:, 1] = np.random.default_rng(1).integers(-2, 3, frames[:, 1].shape)
+    write(folder / "dead.npz", replace(use, frames=frames))
+    dead, whole = (check_model(folder / "right.onnx", folder / name).reasons for name in ("dead.npz", "use.npz"))
+    assert [reason for reason in dead if "dead" in reason] == ["receiver 2 is dead: check its disc and cable"]
+    assert not whole
 
 
 def test_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ it within half a wavelength.
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -31,6 +31,8 @@ from touchd.sources.replay import ReplaySource
 STEPS = 6
 DEAD = 0.01
 """A channel with less than this of its gain is dead, and stays so."""
+UNHEARD = 0.01
+"""Share of the loudest channel's energy of touches below which one is dead; noise may have a tenth of it."""
 POINT = (0j, 0j, 0j, 0j)
 """The shape of a point."""
 SETTLED_FRAMES = 4
@@ -92,7 +94,17 @@ def check_model(path: Path, recording: Path) -> Checked:
             str(recording),
             f"record a minute of touches and strokes of one finger, {LEAST} touches at least",
         )
-    return judge(1 - fit, touches, *consistency(model.atlas, frames, noise_counts))
+    judged = judge(1 - fit, touches, *consistency(model.atlas, frames, noise_counts))
+    dead = dead_channels(frames, model.atlas.description.acquisition.channels)
+    return replace(
+        judged, reasons=(*(f"receiver {c + 1} is dead: check its disc and cable" for c in dead), *judged.reasons)
+    )
+
+
+def dead_channels(frames: list[Frame], channels: int) -> list[int]:
+    """Return the channels in which touches are not heard."""
+    energy = np.square([frame.vector for frame in frames]).reshape(len(frames), channels, -1).sum(axis=(0, 2))
+    return np.flatnonzero(energy < UNHEARD * energy.max()).tolist()
 
 
 def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, float]:

@@ -5,7 +5,8 @@ touches (Greenwood and Williamson, Proc. R. Soc. A 295:300, 1966), by the power 
 (Hertz), and not at all where all of it touches, or glue does. Here it goes by the root. Four feet under 200 x 200 x 5
 mm of glass carry 1.2 N each: a light finger over one adds a third, and changes the signal as a glove's finger does.
 
-Left out: that rubber creeps, so that some of it stays for seconds, and what a finger and a foot scatter to each other.
+Left out: what a finger and a foot scatter to each other, and that rubber creeps; where a tenth of it stayed for a
+second, or a fifth for three, feet whose places are known made no ghost either (twin).
 """
 
 from __future__ import annotations
