@@ -54,7 +54,7 @@ def load_rig(path: Path) -> Rig:
         # A key misspelt is missing, too.
         first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
         *table, _ = first["loc"]
-        what, fix = first["msg"], "correct it"
+        what, fix = first["msg"].removeprefix("Value error, "), "correct it"
         if first["type"] == "extra_forbidden":
             keys = _KEYS[".".join(part for part in table if isinstance(part, str))]
             what, fix = "unknown key", f"use {', '.join(keys)}"

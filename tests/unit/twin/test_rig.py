@@ -60,6 +60,10 @@ def test_file(tmp_path: Path) -> None:
         ("[electronics]\ntones = [{ hz = 1 }]", "electronics.tones.0.hz: unknown key -> use frequency_hz"),
         ("[[mounting.attachments]]\nsupport = { loos = 1 }", "loos: unknown key -> use stiffness_n_m3"),
         ("[mounting]\nleft = 'glue'", "mounting.left"),
+        (
+            "[[mounting.attachments]]\nx_mm = [0, 5]\ny_mm = [0, 9]\npreload_n = 1",
+            "attachments.0: preload_n: only round attachments can be pressed -> correct it",
+        ),
         ("[plate]\nloss = 1", "plate: unknown key -> use mounting, tilts, electronics"),
         ("tilts = ", "not valid TOML"),
     ],
