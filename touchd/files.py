@@ -71,7 +71,7 @@ def read_text(path: Path) -> str:
 def read_toml(
     path: Path, refused: type[TouchdError], fix: str = "check the path and its permissions"
 ) -> dict[str, Any]:
-    """Return the tables of a TOML file; raise `refused` if it cannot be read, or say at what place it is none."""
+    """Return the tables of a TOML file; raise `refused` if it cannot be read, with the place that is not TOML."""
     try:
         return tomllib.loads(read_text(path))
     except OSError as error:

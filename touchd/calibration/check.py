@@ -32,7 +32,7 @@ STEPS = 6
 DEAD = 0.01
 """A channel with less than this of its gain is dead, and stays so."""
 UNHEARD = 0.01
-"""Share of the loudest channel's energy of touches below which one is dead; noise may have a tenth of it."""
+"""A channel with less than this share of the loudest one's energy of touches is dead: it may hold as much noise."""
 POINT = (0j, 0j, 0j, 0j)
 """The shape of a point."""
 SETTLED_FRAMES = 4

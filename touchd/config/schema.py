@@ -13,6 +13,7 @@ from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Secti
 from touchd.config.rigs import AudioSettings, NiSettings
 
 Place = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
+"""x and y, mm."""
 
 
 class DeviceSettings(Section):

@@ -71,6 +71,8 @@ def _tilts(deg: float, db: float) -> Rig:
 DRY_FEET = Mounting(attachments=feet(*DEFAULT_PLATE.size_mm, preload_n=1.2))
 DRY_PADS = Mounting(left="pads", right="pads", top="pads", bottom="pads", preload_n=0.41)
 """Both carry a pane of 0.5 kg."""
+NAMED = ", named"
+"""Ends the name of an effect whose feet `model.feet_mm` names."""
 EFFECTS = {
     "none": IDEAL,
     "jitter 5 ns": _electronics(jitter_s=5e-9),
@@ -86,9 +88,9 @@ EFFECTS = {
     "12 pads": Rig(mounting=Mounting(left="pads", right="pads", top="pads", bottom="pads")),
     "4 glued feet": Rig(mounting=Mounting(attachments=feet(*DEFAULT_PLATE.size_mm))),
     "4 dry feet": Rig(mounting=DRY_FEET),
-    "4 dry feet, named": Rig(mounting=DRY_FEET),
+    f"4 dry feet{NAMED}": Rig(mounting=DRY_FEET),
     "12 dry pads": Rig(mounting=DRY_PADS),
-    "12 dry pads, named": Rig(mounting=DRY_PADS),
+    f"12 dry pads{NAMED}": Rig(mounting=DRY_PADS),
     "tape on one edge": Rig(mounting=Mounting(left="tape")),
     "clamp on one edge": Rig(mounting=Mounting(left="clamped")),
     "bonded pane": Rig(mounting=Mounting(pane=True)),
@@ -146,7 +148,7 @@ def bound(recording: Recording, finger: str, instrument: Instrument) -> float:
 def rigs(name: str, touches: int, seed: int, model: Model) -> Iterator[dict[str, Any]]:
     """Yield the rows of one of `EFFECTS`: a silicone tip's, a fingertip's and a glove's."""
     rig = EFFECTS[name]
-    feet_mm = [foot.middle_mm for foot in rig.mounting.on(DEFAULT_PLATE)] if name.endswith("named") else []
+    feet_mm = [foot.middle_mm for foot in rig.mounting.on(DEFAULT_PLATE)] if name.endswith(NAMED) else []
     settings = Settings.model_validate({"model": {"feet_mm": feet_mm}})
     for contact in ("silicone tip", "fingertip", "glove"):
         scores = place(KINDS[contact], rig, rig.instrument(DEFAULT_PLATE), touches, seed, model, settings)[1]

@@ -34,7 +34,7 @@ MOST_SIZE = 1.0
 """No foot has a larger amplitude, nor a light finger: one of a pane of 0.5 kg has up to 0.4, a bare finger 2 or more
 (twin)."""
 NEAR_MM = 6.0
-"""So near to a foot is what several contacts show of it: it is seen up to 5 mm off (twin)."""
+"""A light contact this near to a foot, beside others, is the foot's: it is seen up to 5 mm off (twin)."""
 ROUNDS, ENOUGH = 6, 1.0
 """Most rounds; one that would move the bins by less than this, in deviations of a value's noise, is not worth a fit."""
 LEAST = 1e-2

@@ -35,7 +35,7 @@ def put_model(content: bytes, path: Path) -> Model:
 
 
 def digest(model: Path) -> str:
-    """Return what tells a model with what lies beside it from others; empty if there is none.
+    """Return what tells a model with what lies beside it from others; empty without a model.
 
     Raises OutputError if it may not be read, and so not be replaced either.
     """

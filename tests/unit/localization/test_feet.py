@@ -89,7 +89,7 @@ def test_bare_fingers() -> None:
 
 
 def test_other_feet() -> None:
-    """A configuration read anew has feet elsewhere, or none."""
+    """A configuration that is read again may name other feet, or no foot."""
     rig = Rig(settings=NO_SKIP)
     rig.localizer.configure(NAMED, None)
     assert at(rig.see(rig.residual((60.0, 45.0, LIGHT), *feet(*PRESSED))).touches, (60.0, 45.0), within_mm=0.5)

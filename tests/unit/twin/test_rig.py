@@ -60,6 +60,7 @@ def test_file(tmp_path: Path) -> None:
         ("[electronics]\ntones = [{ hz = 1 }]", "electronics.tones.0.hz: unknown key -> use frequency_hz"),
         ("[[mounting.attachments]]\nsupport = { loos = 1 }", "loos: unknown key -> use stiffness_n_m3"),
         ("[mounting]\nleft = 'glue'", "mounting.left"),
+        ("[mounting]\nleft = 'pads'\npreload_n = inf", "mounting.preload_n: .* finite"),
         (
             "[[mounting.attachments]]\nx_mm = [0, 5]\ny_mm = [0, 9]\npreload_n = 1",
             "attachments.0: preload_n: only round attachments can be pressed -> correct it",

@@ -92,7 +92,7 @@ class Attachment(BaseModel):
 class Mounting(BaseModel):
     """What holds the plate; by default nothing."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     left: Edge = "free"
     right: Edge = "free"

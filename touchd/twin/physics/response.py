@@ -26,6 +26,7 @@ is computed at a few temperatures only."""
 SMALL_DISC = (1, 4)
 """Rule for the averages over the discs of a compliant contact, of at most 1.3 mm radius: exact to 1e-4."""
 POINT_MM2 = 1e-6
+"""Area of a point of a support: so small that its mean is the value there."""
 FAR, FAR_FREQUENCIES = 1.2, 32
 """What modes above this many times the highest frequency answer is smooth: it is computed at so few, and interpolated
 to 1e-12."""
