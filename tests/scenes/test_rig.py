@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from tests.scenes.stages import empty_stage, play, score
+from touchd.calibration.check import check_model
 from touchd.config.schema import Settings
+from touchd.localization.model import default_model_path
+from touchd.recording.format import write
 from touchd.twin.electronics import Electronics, Impulses
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.mounting import Mounting, feet
 from touchd.twin.scenes.catalogue import stage_scene
-from touchd.twin.simulate import DEFAULT_PLATE
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
 
 RIGS = {
     "jitter": Electronics(jitter_s=20e-9),
@@ -43,13 +51,36 @@ def test_idle(rig: str, instrument: Instrument) -> None:
     assert outcome.counters.inferred <= 500 / 8
 
 
+DRY = Mounting(attachments=feet(*DEFAULT_PLATE.size_mm, preload_n=1.2))
+FEET_MM = [foot.middle_mm for foot in DRY.attachments]
+
+
+def on_dry_feet(instrument: Instrument) -> Instrument:
+    """The pane, pressed on four feet."""
+    return Instrument(DEFAULT_PLATE, modes=instrument.response.modes, mounting=DRY)
+
+
 def test_dry_feet(instrument: Instrument) -> None:
     """Gloved taps on a pane of 0.5 kg are found once each if the feet are named; else these are touches, too."""
-    mounting = Mounting(attachments=feet(*DEFAULT_PLATE.size_mm, preload_n=1.2))
-    giving = Instrument(DEFAULT_PLATE, modes=instrument.response.modes, mounting=mounting)
+    giving = on_dry_feet(instrument)
     stage = stage_scene("tap", DEFAULT_PLATE, seed=17, finger="glove")
-    named = Settings.model_validate({"model": {"feet_mm": [foot.middle_mm for foot in mounting.attachments]}})
+    named = Settings.model_validate({"model": {"feet_mm": FEET_MM}})
     result, unnamed = (score(stage, play(stage, giving, 17, settings)) for settings in (named, Settings()))
     print(f"{result.found} of {result.touches} taps; unnamed {unnamed.ghosts} ghosts")
     assert (result.missed, result.ghosts, result.split) == (0, 0, 0)
     assert unnamed.ghosts >= result.touches
+
+
+def test_feet_that_are_not_named_are_told(instrument: Instrument, tmp_path: Path) -> None:
+    """`touchd check` tells where the feet are, to a millimetre; named, they are no news."""
+    use = simulate_scene("tap", instrument=on_dry_feet(instrument), seed=1640004, finger="glove", frames=2000)
+    write(tmp_path / "use.npz", replace(use, contacts_mm=None, force_n=None))
+    unnamed, named = (
+        check_model(default_model_path(), tmp_path / "use.npz", feet_mm).reasons for feet_mm in ((), FEET_MM)
+    )
+    told = [re.search(r"at \((\d+), (\d+)\) mm only beside other fingers", reason) for reason in unnamed]
+    places_mm = [tuple(map(float, found.groups())) for found in told if found]
+    assert len(places_mm) >= 2
+    for place_mm in places_mm:
+        assert min(math.dist(place_mm, foot_mm) for foot_mm in FEET_MM) < 1.5
+    assert not any("feet_mm" in reason for reason in named)

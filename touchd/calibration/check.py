@@ -7,6 +7,7 @@ it within half a wavelength.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from touchd.calibration.reduced_plate import Floats
+from touchd.calibration.unnamed_feet import Companions, Foot
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch, RecordingValues
 from touchd.evaluation.dataset import complex_bins
@@ -59,6 +61,17 @@ class Frame(NamedTuple):
     """Bins of the residual, as the solver takes them, shape (size,)."""
 
 
+class Use(NamedTuple):
+    """What a recording of touches holds."""
+
+    frames: list[Frame]
+    """Settled frames of single fingers."""
+    touches: int
+    fit: float | None
+    noise_counts: float
+    feet: list[Foot]
+
+
 @dataclass(frozen=True)
 class Checked:
     """What unlabelled touches tell of a model; None where they are too few."""
@@ -78,8 +91,8 @@ class Checked:
     """RMS distance of strokes from a parabola over a twelfth of a second, median."""
 
 
-def check_model(path: Path, recording: Path) -> Checked:
-    """Judge the model at `path` by the touches of a recording.
+def check_model(path: Path, recording: Path, feet_mm: Sequence[Position] = ()) -> Checked:
+    """Judge the model at `path` by the touches of a recording, on a plate that lies on feet at these places.
 
     Raises ModelMismatch if the model has no field atlas, or is made for another acquisition; RecordingValues if the
     recording has too few touches.
@@ -87,18 +100,23 @@ def check_model(path: Path, recording: Path) -> Checked:
     model = Model(path)
     if model.atlas is None:
         raise ModelMismatch("without a field atlas nothing can be told", str(path), "use a model of touchd calibrate")
-    frames, touches, fit, noise_counts = collect(model, recording)
-    if fit is None:
+    use = collect(model, recording, feet_mm)
+    feet = [
+        f"contacts come at ({foot.x_mm:.0f}, {foot.y_mm:.0f}) mm only beside other fingers, {foot.touches} times: "
+        "if a foot or pad lies there, glue it, or name its place in model.feet_mm"
+        for foot in use.feet
+    ]
+    if use.fit is None:
+        alone = f"record a minute of touches and strokes of one finger, {LEAST} touches at least"
         raise RecordingValues(
-            f"too few touches of one finger alone, of {touches} touches",
-            str(recording),
-            f"record a minute of touches and strokes of one finger, {LEAST} touches at least",
+            f"too few touches of one finger alone, of {use.touches} touches", str(recording), "; ".join([*feet, alone])
         )
-    judged = judge(1 - fit, touches, *consistency(model.atlas, frames, noise_counts))
-    dead = dead_channels(frames, model.atlas.description.acquisition.channels)
-    return replace(
-        judged, reasons=(*(f"receiver {c + 1} is dead: check its disc and cable" for c in dead), *judged.reasons)
-    )
+    judged = judge(1 - use.fit, use.touches, *consistency(model.atlas, use.frames, use.noise_counts))
+    dead = [
+        f"receiver {c + 1} is dead: check its disc and cable"
+        for c in dead_channels(use.frames, model.atlas.description.acquisition.channels)
+    ]
+    return replace(judged, reasons=(*dead, *feet, *judged.reasons))
 
 
 def dead_channels(frames: list[Frame], channels: int) -> list[int]:
@@ -107,14 +125,16 @@ def dead_channels(frames: list[Frame], channels: int) -> list[int]:
     return np.flatnonzero(energy < UNHEARD * energy.max()).tolist()
 
 
-def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, float]:
-    """Run a recording through the pipeline; return settled frames of single fingers, contacts, fit and noise."""
+def collect(model: Model, path: Path, feet_mm: Sequence[Position]) -> Use:
+    """Run a recording through the pipeline."""
     source = ReplaySource(path, speed=float("inf"))
-    pipeline = Pipeline(source.acquisition, model, Settings())
+    settings = Settings.model_validate({"model": {"feet_mm": feet_mm}})
+    pipeline = Pipeline(source.acquisition, model, settings)
     assert model.atlas is not None
     to_bins = model.atlas.description.to_bins
     found: list[Frame] = []
     alive: dict[int, tuple[float, float]] = {}
+    companions = Companions()
     touches = settled = 0
     with closing(source):
         for frame in filter(None, frames_of(source)):
@@ -125,13 +145,14 @@ def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, f
                     alive.pop(contact.id, None)
                 else:
                     alive[contact.id] = contact.x_mm, contact.y_mm
+            companions.add(alive)
             touches += len(set(alive) - before)
             settled = settled + 1 if len(alive) == result.touches == 1 and before == set(alive) else 0
             if settled > SETTLED_FRAMES:
                 vector = (pipeline.residual.astype(np.float64) @ to_bins).reshape(-1)
                 found.extend(Frame(contact_id, position_mm, vector) for contact_id, position_mm in alive.items())
     pipeline.release(0)
-    return found, touches, pipeline.model_fit, pipeline.detector.noise_counts()
+    return Use(found, touches, pipeline.model_fit, pipeline.detector.noise_counts(), companions.feet())
 
 
 def consistency(

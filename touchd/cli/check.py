@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from touchd.cli.options import PATH, json_option
+from touchd.cli.options import PATH, config_option, json_option
 
 if TYPE_CHECKING:
     from touchd.calibration.check import Checked
@@ -19,15 +19,17 @@ if TYPE_CHECKING:
 @click.argument("model", type=PATH)
 @click.argument("recording", type=PATH)
 @json_option
-def command(model: Path, recording: Path, as_json: bool) -> None:
+@config_option
+def command(model: Path, recording: Path, as_json: bool, config: Path | None) -> None:
     """Judge MODEL on RECORDING, a minute of anybody's touches and strokes.
 
-    Nobody needs to know where they were. Says whether the plate should be calibrated again, and why. RECORDING begins
-    untouched.
+    Nobody needs to know where they were. Says whether the plate should be calibrated again, and why; and where a foot
+    that nothing glues may answer touches elsewhere, unless the configuration names it. RECORDING begins untouched.
     """
     from touchd.calibration.check import check_model
+    from touchd.config.load import load
 
-    checked = check_model(model, recording)
+    checked = check_model(model, recording, load(config).model.feet_mm)
     click.echo(json.dumps(asdict(checked)) if as_json else _text(checked))
 
 
