@@ -15,7 +15,7 @@ from itertools import product
 
 import numpy as np
 
-from touchd.calibration.loads import LEAST_RATIO, SCATTERER, Discs, Guess, Lines, disc_vectors
+from touchd.calibration.loads import LEAST_RATIO, SCATTERER, Discs, Guess, Lines, cell_vectors, disc_vectors, vectors_of
 from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, ReducedPlate, Shape
 from touchd.twin.physics import legendre
 from touchd.twin.physics.transducer import CELL_MASS, CELL_STIFFNESS, CELLS, MEANS, OTHER_BENDING
@@ -35,7 +35,7 @@ class DiscResponse:
         self._plate, self._nu, self._lines = plate, nu_rad_s, lines
         self._shape, self._discs, self._loss, self._edges = shape, discs, loss, edges = guess
         self._bare = plate.solve(shape)
-        vectors = disc_vectors(plate, shape, discs)
+        vectors = vectors_of(plate, shape, discs)
         every = np.concatenate([vectors, lines.vectors], axis=1) if lines else vectors
         self._phi = plate.turned(every, self._bare)
         stiff: Complex = np.asarray(1 + 1j * loss.at(nu_rad_s), np.complex128)
@@ -93,7 +93,7 @@ class DiscResponse:
         x, y = (legendre.values(places_m[:, i], sides[i], counts[i]) for i in (0, 1))
         points = np.sqrt(sides[0] * sides[1]) * self._plate.sums(0, x[:, :, None] * y[:, None])
         shapes = self._plate.turned(points, self._bare).T
-        return np.stack([_product(shapes, answer) for answer in self._answers])
+        return self._heard(shapes).transpose(1, 0, 2)
 
     def slopes(self, names: set[str]) -> dict[str, Complex]:
         """Return the derivatives (R, F) by the named parameters.
@@ -155,33 +155,48 @@ class DiscResponse:
         """
         V, F = vectors.shape[1], len(self._nu)
         found = np.zeros((V, V, F), dtype=complex)
-        kernels = self._plate.to_classes(self._H.view(float))  # both parts side by side: one real product does
-        for own, kernel in zip(self._plate.to_classes(vectors), kernels, strict=True):
+        for own, kernel in zip(self._plate.to_classes(vectors), self._plate.to_classes(self._H), strict=True):
             there = np.flatnonzero(np.abs(own).max(axis=0) > ABSENT * np.abs(vectors).max(axis=0))
             some = own.T[there]
             for i, row in enumerate(there):
-                found[row, there[i:]] += ((some[i] * some[i:]) @ kernel).view(complex)
+                found[row, there[i:]] += _product(some[i] * some[i:], kernel)
         lower = np.tril_indices(V, -1)
         found[lower] = found[lower[::-1]]
         return np.ascontiguousarray(found.transpose(2, 0, 1))
 
     @cached_property
     def _answers(self) -> Complex:
-        """The loaded plate's answer to each disc's rotation in its free modes, shape (D, n, F)."""
-        return np.stack([self._H * _product(self._phi, turn) for turn in self._turn.transpose(2, 1, 0)])
+        """The loaded plate's answer to each disc's rotation in its free modes, shape (n, D, F)."""
+        F, V, D = self._turn.shape
+        forces = np.ascontiguousarray(self._turn.transpose(1, 2, 0)).reshape(V, D * F)
+        return self._H[:, None] * _product(self._phi, forces).reshape(-1, D, F)
+
+    def _heard(self, shapes: Floats) -> Complex:
+        """Return what k vectors (k, n) in the free plate's modes find of the answer to each disc, shape (k, D, F)."""
+        n, D, F = self._answers.shape
+        return _product(shapes, self._answers.reshape(n, D * F)).reshape(-1, D, F)
 
     def _across(self, part: Shape | Discs, name: str, step: float, along: Floats | float = 1.0) -> Complex:
-        """Return what the derivative of the discs' vectors finds of the answer to each disc, shape (F, MEANS D, D).
+        """Return what the derivative of the discs' vectors finds of the answer to each disc, shape (F, V', D).
 
         It is that by the field of this name of plate or discs, which is moved by `step` along a direction, both ways.
+        V' are the discs' vectors and the scatterers'.
         """
+        # What stays as it is need not be computed.
+        cells = name == "scatterers"
+        vectors = vectors_of if isinstance(part, Shape) else cell_vectors if cells else disc_vectors
         ends = []
         for by in (step, -step):
             moved = part._replace(**{name: getattr(part, name) + by * along})
             shape, discs = (moved, self._discs) if isinstance(moved, Shape) else (self._shape, moved)
-            ends.append(disc_vectors(self._plate, shape, discs))
-        change = self._plate.turned((ends[0] - ends[1]) / (2 * step), self._bare)
-        return np.stack([_product(change.T, answer).T for answer in self._answers], axis=2)
+            ends.append(vectors(self._plate, shape, discs))
+        change = (ends[0] - ends[1]) / (2 * step)
+        there = np.flatnonzero(change.any(axis=0))
+        F, _, D = self._turn.shape
+        found = np.zeros((F, self._held, D), complex)
+        heard = self._heard(self._plate.turned(change[:, there], self._bare).T)
+        found[:, there + (MEANS * D if cells else 0)] = heard.transpose(2, 0, 1)
+        return found
 
     def _by_vectors(self, across: Complex) -> Complex:
         """Return the derivative (R, F) by a change of discs' vectors that find `across` of the answers."""
@@ -199,7 +214,7 @@ class DiscResponse:
         found: dict[str, Complex] = {}
         squares = self._bare.omega2[:, None]
         stiff = 1 + 1j * self._loss.at(self._nu)
-        strain = np.stack([(x[0] * squares * x[r]).sum(axis=0) for r in range(1, D)])
+        strain = ((squares * x[:, 0])[:, None] * x[:, 1:]).sum(axis=0)
         strain = stiff * strain + self._weighed(self._stiff_load)
         by_loss = -1j * self._loss.at(self._nu) / stiff * strain
         if self._lines:
@@ -216,7 +231,7 @@ class DiscResponse:
                 found[name] = -strain / value
                 continue
             total = np.zeros((D - 1, len(self._nu)), dtype=complex)
-            slopes, parts = self._plate.slopes(self._shape, name), self._plate.to_classes(x.swapaxes(0, 1))
+            slopes, parts = self._plate.slopes(self._shape, name), self._plate.to_classes(x)
             for slope, turn, own in zip(slopes, self._bare.turns, parts, strict=True):
                 if slope is None:
                     continue
@@ -224,7 +239,7 @@ class DiscResponse:
                 y = stiff * _product(turn.T @ K @ turn, own[:, 0])
                 if M.any():
                     y -= self._nu**2 * _product(turn.T @ M @ turn, own[:, 0])
-                total -= np.stack([(y * own[:, r]).sum(axis=0) for r in range(1, D)])
+                total -= (y[:, None] * own[:, 1:]).sum(axis=0)
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
             if name in ("width", "height") or (name == "h" and len(self._discs.scatterers)):
@@ -234,4 +249,5 @@ class DiscResponse:
 
 
 def _product(real: Floats, other: Complex) -> Complex:
-    return np.asarray(real @ other.real + 1j * (real @ other.imag))
+    """Return a real matrix (k, n) times a complex one (n, m): with both parts side by side one real product does."""
+    return np.asarray((real @ np.ascontiguousarray(other).view(float)).view(complex))

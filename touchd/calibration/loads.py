@@ -85,16 +85,27 @@ class Loss(NamedTuple):
         return np.asarray(self.factor * np.maximum(nu_rad_s.real / self.middle_rad_s, LEAST_RATIO) ** self.slope)
 
 
+def vectors_of(plate: ReducedPlate, shape: Shape, discs: Discs) -> Floats:
+    """Return the discs and the scatterers in the reference's modes, (n, MEANS D + C L)."""
+    return np.concatenate([disc_vectors(plate, shape, discs), cell_vectors(plate, shape, discs)], axis=1)
+
+
 def disc_vectors(plate: ReducedPlate, shape: Shape, discs: Discs) -> Floats:
-    """Return the discs in the reference's modes, mean by mean, and the scatterers: shape (n, MEANS D + C L), C each."""
+    """Return the discs in the reference's modes, mean by mean, shape (n, MEANS D)."""
     size = shape.width, shape.height
     found = vectors_at(discs.centres_m, discs.beads_m, discs.radius_m, size, plate.counts, plate.sums)
     found[plate.in_plane] *= discs.stretch_per_m
-    others = [
+    return np.asarray(np.sqrt(size[0] * size[1]) * found)
+
+
+def cell_vectors(plate: ReducedPlate, shape: Shape, discs: Discs) -> Floats:
+    """Return the scatterers in the reference's modes, each mean by mean over its cells, shape (n, C L)."""
+    size = shape.width, shape.height
+    found = [
         scatterer_vectors(np.array([x, y]), radius, size, shape.h, plate.counts, plate.sums, plate.in_plane)
         for x, y, radius, *_ in discs.scatterers
     ]
-    return np.asarray(np.sqrt(size[0] * size[1]) * np.concatenate([found, *others], axis=1))
+    return np.asarray(np.sqrt(size[0] * size[1]) * np.concatenate([np.zeros((len(plate.in_plane), 0)), *found], axis=1))
 
 
 class Start(NamedTuple):

@@ -49,9 +49,14 @@ def emission(acquisition: Acquisition, nu_rad_s: Complex) -> Complex:
 
 
 class UntouchedModel:
-    """Maps vectors of unknowns to the untouched signals; without `edges` none is held, at a third of the cost."""
+    """Maps vectors of unknowns to the untouched signals.
 
-    def __init__(self, plate: ReducedPlate, reader: Reader, untouched: Untouched, *, edges: bool = True) -> None:
+    Without `edges` none is held, and without `scatterers` nothing scatters, at a third of the cost each.
+    """
+
+    def __init__(
+        self, plate: ReducedPlate, reader: Reader, untouched: Untouched, *, edges: bool = True, scatterers: bool = True
+    ) -> None:
         a = untouched.acquisition
         self.plate, self.reader, self.untouched = plate, reader, untouched
         self.measured: Floats = np.where(untouched.dead[:, None], 0.0, untouched.mean)
@@ -59,6 +64,7 @@ class UntouchedModel:
         self.noise: Floats = np.maximum(untouched.noise, 1e-5 * np.sqrt((self.measured**2).mean()))
         """Its standard errors, shape (R,)."""
         self._lines = lines_along(plate, reader.held) if edges and reader.held else None
+        self._scatterers = scatterers
         record = Record(a)
         self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
         x, emitted = band(a, record.hz), emission(a, self.nu_rad_s)
@@ -128,7 +134,10 @@ class UntouchedModel:
         return np.asarray(np.concatenate(shares) / np.square(residual).sum())
 
     def _response(self, p: Floats) -> DiscResponse:
-        return DiscResponse(self.plate, self.reader.read(p), self.nu_rad_s, self._lines)
+        guess = self.reader.read(p)
+        if not self._scatterers:
+            guess = guess._replace(discs=guess.discs._replace(scatterers=guess.discs.scatterers[:0]))
+        return DiscResponse(self.plate, guess, self.nu_rad_s, self._lines)
 
     def _basis(self, waves: Complex) -> Floats:
         """Return the signals of waves (..., K, F) and of i times these, shape (..., 2 K, S)."""
