@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from touchd.calibration.emission import emission
 from touchd.calibration.plate_fit import PlateFit, Progress
 from touchd.calibration.reduced_plate import Complex, Floats
-from touchd.calibration.untouched_model import band, emission
+from touchd.calibration.untouched_model import band
 from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
 from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Array, Atlas, AtlasDescription

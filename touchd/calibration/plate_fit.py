@@ -168,12 +168,13 @@ def _fit(
     reader = Reader(said, untouched.acquisition)
     state, model = run_stages(reader, untouched, progress)
     measured, p = untouched.mean, state.p
-    fitted = model.signals(p, state.fitted.gains)
+    fitted = model.signals(p, state.fitted)
     parameters = _parameters(reader, state)
     plate, guess, layout = reader.plate(p), reader.read(p), reader.layout(p)
     if layout.scatterers:
         found = tuple(what.format(at_mm=layout.scatterers[-1].at_mm) for what in found)
-    energy = np.where(untouched.dead, np.nan, (measured**2).sum(axis=1))
+    heard = measured - model.driven(state.fitted)
+    energy = np.where(untouched.dead, np.nan, (heard**2).sum(axis=1))
     left = ((measured - fitted) ** 2).sum(axis=1) / energy
     noise_share = float(np.nanmean(untouched.noise**2 * measured.shape[1] / energy))
     # Of the mean of the logarithms of width and height.
@@ -191,7 +192,7 @@ def _fit(
     )  # fmt: skip
     scattered = 0.0
     if reader.scatterers:
-        bare = model.signals(reader.without_scatterers(p), state.fitted.gains)
+        bare = model.signals(reader.without_scatterers(p), state.fitted)
         scattered = float(np.square(fitted - bare).sum() / np.square(fitted).sum())
     # Those of the fit belong to modes per mass of the plate.
     gains = stiffness_of(plate).mass * plate.width_mm * plate.height_mm * 1e-6 * state.fitted.gains

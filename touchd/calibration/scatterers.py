@@ -18,9 +18,9 @@ from touchd.calibration.untouched_model import UntouchedModel
 
 PER_WAVE = 5.0
 """Places tried per wavelength, along each axis."""
-LEAST_SHARE, RIVAL = 0.1, 1.5
+LEAST_SHARE, RIVAL = 0.1, 1.4
 """A scatterer explains this share of what a fit leaves, and this many times what any place a wave away does. Holes and
-buttons explain 0.17 to 0.34, 1.8 to 3.5 times the next; tape that is not said, clamps and ribs 0.15, 1.3 times."""
+buttons explain 0.17 to 0.34, 1.5 to 7 times the next; tape that is not said, clamps and ribs 0.15, 1.3 times (twin)."""
 PLACE_MM = 3.0
 """Standard deviation of a place found so."""
 WHAT = (

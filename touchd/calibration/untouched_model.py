@@ -1,6 +1,6 @@
 """From a vector of unknowns to the untouched signals, their derivatives, and what a small mass would change.
 
-Each channel's gain is eliminated.
+Each channel's gain is eliminated, and with it what reaches the channel from the emitter's cable without the plate.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from touchd.calibration.disc_response import DiscResponse
+from touchd.calibration.emission import drive_waves, emission
 from touchd.calibration.loads import lines_along
 from touchd.calibration.parameters import Reader
 from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
 from touchd.calibration.untouched import Untouched
 from touchd.frame import Acquisition
-from touchd.twin.instrument import anti_alias
 from touchd.twin.record import Record
 
 GAIN_TERMS = 3
@@ -33,6 +33,8 @@ class Fitted(NamedTuple):
     """Measured less fitted, shape (R, S), weighted by the window."""
     gains: Complex
     """Shape (R, GAIN_TERMS)."""
+    drive: Floats
+    """How much of each of `drive_waves` each channel hears, shape (R, 4)."""
     slopes: Floats
     """Derivative of the residual by the active parameters, shape (P, R, S); without gains' freedom."""
 
@@ -41,11 +43,6 @@ def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
     """Map frequencies to -1 .. 1 over the chirp's band; beyond it to at most 1.3."""
     low, high = acquisition.chirp.band_hz
     return np.asarray(np.clip((frequency_hz - (low + high) / 2) / ((high - low) / 2), -1.3, 1.3))
-
-
-def emission(acquisition: Acquisition, nu_rad_s: Complex) -> Complex:
-    """Return the spectrum of the chirp behind the anti-alias filter, shape (F,)."""
-    return acquisition.chirp.spectrum(nu_rad_s) * anti_alias(nu_rad_s, acquisition.sample_rate_hz)
 
 
 class UntouchedModel:
@@ -69,18 +66,19 @@ class UntouchedModel:
         self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
         x, emitted = band(a, record.hz), emission(a, self.nu_rad_s)
         self._emission = np.stack([emitted * x**k for k in range(GAIN_TERMS)])  # (K, F)
+        self._drive = drive_waves(a)
 
     def fit(self, p: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
         """Return a vector's misfit in samples weighed by `window` (S,), and its derivatives by `active` unknowns."""
         response = self._response(p)
         heard = response.untouched()
         scale = np.sqrt(np.mean(np.abs(heard) ** 2))
-        basis = self._basis(heard[:, None] * self._emission / scale) * window  # (R, 2 K, S)
+        basis = self._heard_basis(heard / scale) * window  # (R, 2 K + 4, S)
         chain = self.reader.chain(p)
         by_name = response.slopes({chain[name][0] for name in active})
         changes = [by_name[chain[name][0]] * (chain[name][1] / scale) for name in active]
         y = self.measured * window
-        gains = np.empty((len(y), GAIN_TERMS), dtype=complex)
+        gains, drive = np.empty((len(y), GAIN_TERMS), dtype=complex), np.empty((len(y), len(self._drive)))
         residual, slopes = np.empty_like(y), np.empty((len(active), *y.shape))
         for c, B in enumerate(basis):
             normal = B @ B.T
@@ -88,12 +86,13 @@ class UntouchedModel:
             solver = np.linalg.solve(normal, B)
             found = solver @ y[c]
             residual[c] = y[c] - found @ B
-            gains[c] = found[:GAIN_TERMS] + 1j * found[GAIN_TERMS:]
+            real, imaginary, drive[c] = np.split(found, [GAIN_TERMS, 2 * GAIN_TERMS])
+            gains[c] = real + 1j * imaginary
             if active:
                 moved = self._to_time(np.stack([change[c] for change in changes]) * (gains[c] @ self._emission))
                 moved *= window
                 slopes[:, c] = (moved @ solver.T) @ B - moved
-        return Fitted(residual, gains / scale, slopes)
+        return Fitted(residual, gains / scale, drive, slopes)
 
     def pair_misfits(self, p: Floats, window: Floats) -> Floats:
         """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
@@ -103,7 +102,7 @@ class UntouchedModel:
         energy = np.maximum((y**2).sum(axis=1), np.finfo(float).tiny)
         for one in range(D):
             for other in range(one):
-                B = self._basis(between[one, other] * self._emission) * window
+                (B,) = self._heard_basis(between[one, other][None]) * window
                 Q = np.linalg.qr(B.T)[0]
                 found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
         return found
@@ -118,7 +117,7 @@ class UntouchedModel:
         size_m = np.array([shape.width, shape.height])
         places_m = np.clip(places_m, 0.0, size_m)
         before = response.at(np.clip(from_m[None], 0.0, size_m)) if from_m is not None else np.zeros(1 + len(residual))
-        basis = [np.linalg.qr(B.T)[0] for B in self._basis(response.untouched()[:, None] * self._emission)]
+        basis = [np.linalg.qr(B.T)[0] for B in self._heard_basis(response.untouched())]
         heard = self.nu_rad_s**2 * (fitted.gains @ self._emission)  # (R, F)
         shares = []
         for part in np.array_split(places_m, np.ceil(len(places_m) / _AT_ONCE)):
@@ -126,7 +125,7 @@ class UntouchedModel:
             met, energy = np.zeros((2, len(part)))
             for k, (receiver, spectrum, Q, left) in enumerate(zip(receivers, heard, basis, residual, strict=True), 1):
                 waves = self._to_time((emitter * receiver - before[0] * before[k]) * spectrum)
-                waves -= (waves @ Q) @ Q.T  # what a gain would do
+                waves -= (waves @ Q) @ Q.T  # what a gain and the drive would do
                 met += waves @ left
                 energy += np.square(waves).sum(axis=1)
             met = met if from_m is None else np.maximum(met, 0.0)
@@ -143,6 +142,15 @@ class UntouchedModel:
         """Return the signals of waves (..., K, F) and of i times these, shape (..., 2 K, S)."""
         return np.concatenate([self._to_time(waves), self._to_time(1j * waves)], axis=-2)
 
-    def signals(self, p: Floats, gains: Complex) -> Floats:
-        """Return the signals (R, S) of a vector with given gains (R, GAIN_TERMS)."""
-        return self._to_time(self._response(p).untouched() * (gains @ self._emission))
+    def _heard_basis(self, heard: Complex) -> Floats:
+        """Return what responses (R, F) are heard as: gains times their waves, and the drive, (R, 2 K + 4, S)."""
+        waves = self._basis(heard[:, None] * self._emission)
+        return np.concatenate([waves, np.broadcast_to(self._drive, (len(waves), *self._drive.shape))], axis=1)
+
+    def signals(self, p: Floats, fitted: Fitted) -> Floats:
+        """Return the signals (R, S) of a vector with the gains, and the drive, of a fit."""
+        return self._to_time(self._response(p).untouched() * (fitted.gains @ self._emission)) + self.driven(fitted)
+
+    def driven(self, fitted: Fitted) -> Floats:
+        """Return what each channel hears of the drive itself, (R, S)."""
+        return np.asarray(fitted.drive @ self._drive)

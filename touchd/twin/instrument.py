@@ -50,9 +50,10 @@ class Instrument:
 
     `loss` is the loss factor, 2e-3 .. 1e-2 for a mounted plate with bonded discs. With `tail_period_s` the ringing of
     all previous chirps, one per period, is included, though the acquisition does not say so. `tilts` are those of each
-    receiver's phase and gain, (deg, dB), along the chirp's band, from its middle to its upper end. `modes` are those of
-    plate and discs by other physics than the twin's; real ones take `loss`, complex ones have theirs. Raises
-    SimulationError if the twin cannot simulate this instrument.
+    receiver's phase and gain, (deg, dB), along the chirp's band, from its middle to its upper end. `feedthrough` is
+    what each receiver hears of the drive itself, (dB, deg): its level beside what the plate sends it, and its phase in
+    the middle of the band. `modes` are those of plate and discs by other physics than the twin's; real ones take
+    `loss`, complex ones have theirs. Raises SimulationError if the twin cannot simulate this instrument.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Instrument:
         tail_period_s: float | None = None,
         mounting: Mounting = FREE,
         tilts: Sequence[tuple[float, float]] = (),
+        feedthrough: Sequence[tuple[float, float]] = (),
         modes: LoadedModes | None = None,
     ) -> None:
         self.plate = plate
@@ -90,8 +92,12 @@ class Instrument:
         self._t = self._record.time_s
         if len(tilts) not in (0, receivers):
             raise SimulationError(f"{len(tilts)} tilts for {receivers} receivers", "tilts", "give one per receiver")
+        if len(feedthrough) not in (0, receivers):
+            raise SimulationError(
+                f"{len(feedthrough)} feedthroughs for {receivers} receivers", "feedthrough", "give one per receiver"
+            )
         self._tilt = _tilt(tilts, a, self.response.nu_rad_s)
-        self._tables()
+        self._tables(feedthrough)
 
     def scale(self, temperature_c: ArrayLike) -> Floats:
         """Return the factor of all modes' frequencies at a temperature.
@@ -162,7 +168,7 @@ class Instrument:
         r = self.response
         return Response(self.plate, r.modes, r.nu_rad_s / scale, r.loss, r.supports)
 
-    def _tables(self) -> None:
+    def _tables(self, feedthrough: Sequence[tuple[float, float]] = ()) -> None:
         """Compute the emission, and the untouched signals with their time derivatives, at the temperature nodes."""
         nu = self.response.nu_rad_s
         a = self.acquisition
@@ -187,9 +193,26 @@ class Instrument:
             for k in range(self._orders(MOST_LATE_S))
         ]
         self._untouched = np.stack(orders)
+        if len(feedthrough):
+            self._untouched += self._driven(feedthrough, len(orders))[:, None]
         self.peak = float(np.abs(self.untouched([REFERENCE_C])).max())
         """Peak of the untouched plate at the reference temperature, from which signals are counted."""
         self._untouched /= self.peak
+
+    def _driven(self, feedthrough: Sequence[tuple[float, float]], count: int) -> Floats:
+        """Return what receivers hear of the drive, and its first time derivatives over factorials, (count, R, S).
+
+        Common wires pass it on as it is, a capacitance its derivative; neither knows the plate's temperature.
+        """
+        a, nu = self.acquisition, self.response.nu_rad_s
+        db, deg = np.array(feedthrough).T
+        as_is, rising = np.cos(np.radians(deg)), np.sin(np.radians(deg))
+        played = a.chirp.spectrum(nu) * anti_alias(nu, a.sample_rate_hz)
+        waves = (as_is[:, None] + 1j * rising[:, None] * nu / (np.pi * sum(a.chirp.band_hz))) * played
+        moments = np.stack([waves * (1j * nu) ** k / math.factorial(k) for k in range(count)])
+        signals = self._to_time(moments, np.ones(count), np.zeros(count))
+        heard = np.linalg.norm(self.untouched([REFERENCE_C])[0], axis=1) / np.linalg.norm(signals[0], axis=1)
+        return np.asarray(signals * (heard * 10 ** (db / 20))[:, None])
 
     def _orders(self, shift_s: float) -> int:
         """Return the number of Taylor terms that shift a time signal by `shift_s` to within `ERROR`."""

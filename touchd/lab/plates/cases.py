@@ -39,6 +39,7 @@ class Case(NamedTuple):
     loss: float = 6e-3
     mounting: Mounting = Mounting()
     tilts: tuple[tuple[float, float], ...] = ()
+    feedthrough: tuple[tuple[float, float], ...] = ()
     noise_db: float = 60.0
     flaw: str = ""
     """What the fit's physics lack altogether: `hole`, `rib` or `corner`."""
@@ -84,6 +85,7 @@ CASES = {
     "solid-acrylic-6": Case((190.0, 140.0, 6.0), "acrylic", ACRYLIC, said=ACRYLIC_SAID, solid=True),
     "solid-discs-10": Case(G220, solid=True),
     "solid-discs-15": Case(G220, solid=True),
+    "feedthrough": Case(G220, feedthrough=((0.0, 20.0), (-3.0, 200.0), (3.0, 60.0), (0.0, 340.0))),
 }
 
 
@@ -132,7 +134,10 @@ def _plate(case: Case) -> Instrument:
     attachments = case.mounting.on(plate)
     if attachments:
         modes = attach(modes, plate, attachments, case.loss, 75e3)
-    return Instrument(plate, layout=layout, loss=case.loss, tilts=case.tilts, modes=modes, acquisition=acquisition)
+    return Instrument(
+        plate, layout=layout, loss=case.loss, tilts=case.tilts, feedthrough=case.feedthrough, modes=modes,
+        acquisition=acquisition,
+    )  # fmt: skip
 
 
 def _joints(layout: Layout) -> list[Patch]:
