@@ -8,6 +8,9 @@ baseline is frozen and the plate drifts on. `Drift` follows the few directions i
 A plate that warms gets slower, by the same share at every frequency: what it answered to an impulse at t it now answers
 at t (1 - s). The chirp that it is struck with stays as it was. So the part of the signal about the frequency f, emitted
 at the time tau(f), is stretched about tau(f) and not about the start of the frame.
+
+Cables that run side by side bring the drive itself into the channels, unstretched, and more or less of it once somebody
+has laid them anew. What may be drive tells nothing of the plate.
 """
 
 from __future__ import annotations
@@ -48,7 +51,11 @@ class Drift:
         self._dtype = atlas.coefficients.dtype
         self._plain = atlas.description.to_bins
         self._stretched = stretch_matrix(a, bins, atlas.description.taper) * np.tile(atlas.description.bin_weights, 2)
+        drive = np.linalg.qr((drive_waves(a) @ self._plain).T)[0].T
+        self._drive: Floats = drive
+        """Orthonormal directions in which the drive can move a channel, shape (4, 2 * bins)."""
         self._reference = atlas.baseline.astype(np.float64)
+        self._known = self._plate_energy(self._reference)
         self._omega_rad_s = 2 * np.pi * bins * a.sample_rate_hz / a.samples
         self._channels, self._size = a.channels, atlas.size
         self.matrix: Array = self._plain.astype(self._dtype)
@@ -79,8 +86,7 @@ class Drift:
     def set_baseline(self, baseline: Array) -> None:
         """Compare the untouched plate, (channels, samples), with the one in training."""
         live = baseline.astype(np.float64)
-        energy, known = np.square(live).sum(axis=1), np.square(self._reference).sum(axis=1)
-        self.dead = energy < DEAD_BELOW * known
+        self.dead = self._plate_energy(live) < DEAD_BELOW * self._known
         self.stretch, self.gains = self._fit(live)
         self.matrix = (self._plain - self.stretch * self._stretched).astype(self._dtype)
         self._scale = None
@@ -136,8 +142,12 @@ class Drift:
 
     def silent(self, residual: Array, baseline: Array) -> NDArray[np.bool_]:
         """Return which channels, shape (channels,), are without a signal in a frame of this residual."""
-        energy = np.square(residual + baseline).sum(axis=1)
-        return np.asarray(energy < DEAD_BELOW * np.square(self._reference).sum(axis=1))
+        return np.asarray(self._plate_energy(residual + baseline) < DEAD_BELOW * self._known)
+
+    def _plate_energy(self, signal: Array | Floats) -> Floats:
+        """Return the energy of what each channel's bins hold beside what may be the drive, shape (channels,)."""
+        bins = signal @ self._plain
+        return np.asarray(np.square(bins - (bins @ self._drive.T) @ self._drive).sum(axis=1))
 
     def _fit(self, live: Floats) -> tuple[float, Floats]:
         """Return stretch and gains that lead from the untouched plate in training to the one now."""
@@ -145,16 +155,19 @@ class Drift:
         alive = ~self.dead
         if not alive.any():
             return stretch, gains
+        size = np.linalg.norm(self._reference @ self._plain)
         for _ in range(_ROUNDS):
             expected = self._reference @ self._plain + stretch * (self._reference @ self._stretched)
             slope = gains[:, None] * (self._reference @ self._stretched)
             error = live @ self._plain - gains[:, None] * expected
             columns = [slope, gains[:, None] * delayed(expected, self._omega_rad_s)]
-            columns += [np.where(np.arange(self._channels)[:, None] == r, expected, 0.0) for r in np.flatnonzero(alive)]
+            each = [np.arange(self._channels)[:, None] == r for r in np.flatnonzero(alive)]
+            columns += [np.where(own, expected, 0.0) for own in each]
+            columns += [np.where(own, size * wave, 0.0) for own in each for wave in self._drive]
             system = np.stack([column[alive].ravel() for column in columns], axis=1)
             found = np.linalg.lstsq(system, error[alive].ravel(), rcond=1e-9)[0]
             stretch += float(found[0])
-            gains[alive] += found[2:]
+            gains[alive] += found[2 : 2 + len(each)]
         sound = abs(stretch) < _LARGEST_STRETCH and 1 / _LARGEST_GAIN < gains.min() <= gains.max() < _LARGEST_GAIN
         return (stretch, gains) if sound else (0.0, np.ones(self._channels))
 
@@ -170,6 +183,19 @@ class Drift:
         self.directions = directions.astype(self._dtype)
         self._along = np.zeros(len(directions), self._dtype)
         self._step = np.zeros_like(self._along)
+
+
+def drive_waves(acquisition: Acquisition) -> Floats:
+    """Return the waves that a channel may hear of the drive, shape (4, samples).
+
+    The chirp and what a capacitance makes of it, its derivative, and both a quarter of a wave later, for filters.
+    """
+    chirp, t_s = acquisition.chirp, np.arange(acquisition.samples) / acquisition.sample_rate_hz
+    rate = (chirp.stop_hz - chirp.start_hz) / chirp.duration_s
+    phase, f = 2 * np.pi * (chirp.start_hz + rate * t_s / 2) * t_s, (chirp.start_hz + rate * t_s) / chirp.stop_hz
+    return np.asarray(
+        (t_s < chirp.duration_s) * np.stack([np.sin(phase), f * np.cos(phase), np.cos(phase), f * np.sin(phase)])
+    )
 
 
 def emission_s(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fields import BINS, RIG, Field, in_double, make_atlas, untouched
-from touchd.localization.drift import FOLLOW_EVERY_NS, FOLLOW_S, Drift
+from touchd.localization.drift import FOLLOW_EVERY_NS, FOLLOW_S, Drift, drive_waves
 from touchd.localization.features import windowed_dft
 
 ATLAS = make_atlas(Field())
@@ -44,6 +46,31 @@ def test_stretch_and_gains(stretch: float, delay_s: float, gains: list[float]) -
     assert drift.stretch == pytest.approx(stretch, rel=0.15, abs=1e-5)
     np.testing.assert_allclose(drift.gains, gains, rtol=0.02)
     assert not drift.dead.any()
+
+
+@given(STRETCH, GAINS, st.integers(0, 50), st.floats(0.0, 1.0))
+@settings(max_examples=30)
+def test_cables_laid_anew(stretch: float, gains: list[float], seed: int, level: float) -> None:
+    """The drive in the channels, as loud as the plate, changes neither stretch nor gains."""
+    mixed = np.random.default_rng(seed).standard_normal((4, 4)) @ drive_waves(RIG)
+    plate = np.array(gains)[:, None] * untouched(stretch)
+    scale = level * np.linalg.norm(plate, axis=1) / np.linalg.norm(mixed, axis=1)
+    drift = after(plate + scale[:, None] * mixed)
+    assert drift.stretch == pytest.approx(stretch, rel=0.15, abs=1e-5)
+    np.testing.assert_allclose(drift.gains, gains, rtol=0.02)
+
+
+def test_a_disc_that_came_off() -> None:
+    """A channel that hears the drive alone is dead, and falls silent likewise."""
+    there = untouched() + 300 * drive_waves(RIG)[0]
+    drift = Drift(replace(ATLAS, baseline=there.astype(np.float32)))
+    drift.set_baseline(there.astype(np.float32))
+    off = there.copy()
+    off[2] = 300 * drive_waves(RIG)[0]
+    assert not drift.dead.any()
+    assert drift.silent((off - there).astype(np.float32), there.astype(np.float32)).tolist() == [0, 0, 1, 0]
+    drift.set_baseline(off.astype(np.float32))
+    assert drift.dead.tolist() == [False, False, True, False]
 
 
 def test_plate_of_the_training() -> None:

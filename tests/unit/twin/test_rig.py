@@ -65,7 +65,7 @@ def test_file(tmp_path: Path) -> None:
             "[[mounting.attachments]]\nx_mm = [0, 5]\ny_mm = [0, 9]\npreload_n = 1",
             "attachments.0: preload_n: only round attachments can be pressed -> correct it",
         ),
-        ("[plate]\nloss = 1", "plate: unknown key -> use mounting, tilts, electronics"),
+        ("[plate]\nloss = 1", "plate: unknown key -> use mounting, tilts, feedthrough, electronics"),
         ("tilts = ", "not valid TOML"),
     ],
 )
@@ -80,7 +80,7 @@ def test_mistakes(tmp_path: Path, text: str, what: str) -> None:
 def test_simulate(tmp_path: Path) -> None:
     """`touchd simulate --rig` plays scenes and touches on the rig; an option of the command line wins."""
     small = ["--plate", "90x80x5", "--force", "--rig"]
-    tilted = "tilts = [[10, 1.5], [-10, 1.5], [10, -1.5], [-10, -1.5]]\n[mounting]\nleft = 'tape'\n"
+    tilted = "feedthrough = [[-20, 0], [0, 90], [10, 200], [-3, 45]]\n[mounting]\nleft = 'tape'\n"
     recordings = {}
     for name, text in (("ideal", ""), ("real", tilted)):
         rig = str(rig_of(tmp_path, text))
@@ -123,10 +123,40 @@ def test_tilt(small: Instrument, plain: NDArray[np.complex128], deg: float, db: 
     assert np.abs(turned - expected).max() < 0.02 * np.abs(expected).max()
 
 
-def test_one_tilt_a_receiver() -> None:
-    """Two tilts for four receivers are refused."""
-    with pytest.raises(SimulationError, match="2 tilts for 4 receivers"):
-        Instrument(Plate(width_mm=90, height_mm=80, thickness_mm=5, material="glass"), tilts=[(1.0, 1.0)] * 2)
+DRIVEN = (-20.0, 0.0), (0.0, 90.0), (10.0, 200.0), (-3.0, 45.0)
+
+
+def test_feedthrough(small: Instrument, plain: NDArray[np.complex128]) -> None:
+    """Each receiver hears as much of the drive as stated, the same at any temperature, and touches as before."""
+    driven = Instrument(small.plate, feedthrough=DRIVEN)
+    heard = [[one.untouched([at_c])[0] * one.peak for one in (small, driven)] for at_c in (15.0, REFERENCE_C)]
+    cold, warm = (after - before for before, after in heard)
+    level_db = 20 * np.log10(np.linalg.norm(warm, axis=1) / np.linalg.norm(heard[1][0], axis=1))
+    np.testing.assert_allclose(level_db, [db for db, _ in DRIVEN], atol=1e-6)
+    np.testing.assert_allclose(cold, warm, atol=1e-9 * np.abs(warm).max())
+    assert np.abs(touched(small, feedthrough=DRIVEN) - plain).max() < 1e-9 * np.abs(plain).max()
+
+
+def test_feedthrough_is_late_with_the_trigger(small: Instrument) -> None:
+    """A trigger that is early or late delays the drive."""
+    late_s, bins = 2e-8, np.arange(180, 270)
+    driven, plain = (Instrument(small.plate, acquisition=LONG, loss=LOSS, feedthrough=given) for given in (DRIVEN, ()))
+    early, at_once, late = (
+        np.fft.rfft(driven.untouched([REFERENCE_C], at_s)[0] * driven.peak
+                    - plain.untouched([REFERENCE_C], at_s)[0] * plain.peak)[:, bins]
+        for at_s in (-late_s, 0.0, late_s)
+    )  # fmt: skip
+    turn = 2j * np.pi * bins * 250e3 / 750 * late_s
+    for each, sign in ((late, 1), (early, -1)):
+        np.testing.assert_allclose(each, np.exp(sign * turn) * at_once, atol=1e-3 * np.abs(at_once).max())
+
+
+@pytest.mark.parametrize("what", ["tilts", "feedthrough"])
+def test_one_a_receiver(what: str) -> None:
+    """Two tilts, or levels of the drive, for four receivers are refused."""
+    given: dict[str, Any] = {what: [(1.0, 1.0)] * 2}
+    with pytest.raises(SimulationError, match=f"2 {what}.* for 4 receivers"):
+        Instrument(Plate(width_mm=90, height_mm=80, thickness_mm=5, material="glass"), **given)
 
 
 @pytest.mark.parametrize("noise_db", ["nan", "5000", "-5000"])
