@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.calibration.calibrate import Fitted, make_model
-from touchd.calibration.emission import drive_waves
+from touchd.calibration.emission import background_waves
 from touchd.calibration.parameters import DISCS, PLATE, Reader
 from touchd.calibration.physical_atlas import TIP, PhysicalField
 from touchd.calibration.plate_file import PlateFile, check_plate_file
@@ -202,8 +202,13 @@ def test_a_dead_channel() -> None:
 
 
 def test_the_drive_in_the_cables(fit: PlateFit) -> None:
-    """What each channel hears of the drive itself, up to ten times what the plate sends it, changes nothing."""
-    driven = fit_plate(said(), heard(feedthrough=((-10.0, 0.0), (20.0, 90.0), (0.0, 200.0), (6.0, 45.0))))
+    """What each channel hears of the drive itself, up to ten times what the plate sends it, changes nothing.
+
+    Nor does an ADC's offset.
+    """
+    untouched = heard(feedthrough=((-10.0, 0.0), (20.0, 90.0), (0.0, 200.0), (6.0, 45.0)))
+    offset = 0.5 * SCALE * np.array([[1.0], [-1.0], [0.3], [0.0]])
+    driven = fit_plate(said(), untouched._replace(mean=untouched.mean + offset))
     assert driven.verdict == "good"
     assert driven.unexplained < 1.1 * fit.unexplained
     np.testing.assert_allclose(driven.layout.centres_mm, fit.layout.centres_mm, atol=0.03)
@@ -212,7 +217,9 @@ def test_the_drive_in_the_cables(fit: PlateFit) -> None:
 def test_a_disc_that_came_off() -> None:
     """A channel that hears the drive alone is dead."""
     untouched = heard(feedthrough=((0.0, 0.0), (0.0, 90.0), (0.0, 0.0), (0.0, 0.0)))
-    untouched.mean[2] = 1000 * drive_waves(untouched.acquisition)[0] / drive_waves(untouched.acquisition).max()
+    untouched.mean[2] = (
+        1000 * background_waves(untouched.acquisition)[0] / background_waves(untouched.acquisition).max()
+    )
     assert untouched.dead.tolist() == [False, False, True, False]
 
 

@@ -1,4 +1,4 @@
-"""What is played, and what of it channels hear without the plate: cables couple by common wires and by capacitance."""
+"""What is played, and what channels hear beside the plate: the drive, by cables that couple, and the ADC's offset."""
 
 from __future__ import annotations
 
@@ -15,19 +15,23 @@ def emission(acquisition: Acquisition, nu_rad_s: Complex) -> Complex:
     return acquisition.chirp.spectrum(nu_rad_s) * anti_alias(nu_rad_s, acquisition.sample_rate_hz)
 
 
-def drive_waves(acquisition: Acquisition) -> Floats:
-    """Return the waves that the drive itself is a sum of in any channel, shape (4, S).
+def background_waves(acquisition: Acquisition) -> Floats:
+    """Return the waves that what a channel hears beside the plate is a sum of, shape (6, S).
 
-    The drive, what a capacitance makes of it (it rises with the frequency), and both a quarter of a wave later, for
-    what filters delay.
+    The drive, as common wires bring it in; what a capacitance makes of it, which rises with the frequency; both a
+    quarter of a wave later, for what filters delay; an offset and a slope, as of mains hum in a millisecond.
     """
     record = Record(acquisition)
     emitted = emission(acquisition, record.nu_rad_s)
     rising = emitted * record.nu_rad_s / (np.pi * sum(acquisition.chirp.band_hz))
-    return record.to_time(np.stack([emitted, rising, 1j * emitted, 1j * rising]))
+    drive = record.to_time(np.stack([emitted, rising, 1j * emitted, 1j * rising]))
+    slow = np.sqrt(np.square(drive[0]).mean()) * np.stack(
+        [np.ones(acquisition.samples), np.linspace(-1, 1, acquisition.samples)]
+    )
+    return np.concatenate([drive, slow])
 
 
-def without_drive(mean: Floats, acquisition: Acquisition) -> Floats:
-    """Return a mean frame (R, S) without all that the drive itself may be of it."""
-    waves = np.linalg.qr(drive_waves(acquisition).T)[0]
+def without_background(mean: Floats, acquisition: Acquisition) -> Floats:
+    """Return a mean frame (R, S) without all that may come beside the plate."""
+    waves = np.linalg.qr(background_waves(acquisition).T)[0]
     return np.asarray(mean - (mean @ waves) @ waves.T)

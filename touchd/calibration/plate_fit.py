@@ -173,7 +173,7 @@ def _fit(
     plate, guess, layout = reader.plate(p), reader.read(p), reader.layout(p)
     if layout.scatterers:
         found = tuple(what.format(at_mm=layout.scatterers[-1].at_mm) for what in found)
-    heard = measured - model.driven(state.fitted)
+    heard = measured - model.beside(state.fitted)
     energy = np.where(untouched.dead, np.nan, (heard**2).sum(axis=1))
     left = ((measured - fitted) ** 2).sum(axis=1) / energy
     noise_share = float(np.nanmean(untouched.noise**2 * measured.shape[1] / energy))

@@ -148,7 +148,7 @@ def run_stages(
         model = UntouchedModel(_plate_near(reader, state.p, untouched), reader, untouched)
     progress(0.8)
     state = descend(model, state.p, (*PLATE, *DISCS, *edges, *places), WHOLE, 8, CONVERGED)
-    if state.left > HOPELESS * np.square(model.measured - model.driven(state.fitted)).sum():
+    if state.left > HOPELESS * np.square(model.measured - model.beside(state.fitted)).sum():
         return state, model
     return descend(model, _with_beads(model, state), (*state.names, *reader.joints), WHOLE, 8, CONVERGED), model
 

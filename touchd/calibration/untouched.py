@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.emission import without_drive
+from touchd.calibration.emission import without_background
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Floats
 from touchd.errors import PlateMismatch, PlateTouched, PlateUnsteady, SignalClipped
@@ -49,7 +49,7 @@ class Untouched(NamedTuple):
     @property
     def dead(self) -> NDArray[np.bool_]:
         """Which channels hear nothing of the plate, shape (R,)."""
-        rms = np.sqrt((without_drive(self.mean, self.acquisition) ** 2).mean(axis=1))
+        rms = np.sqrt((without_background(self.mean, self.acquisition) ** 2).mean(axis=1))
         return np.asarray((rms <= SILENT * np.median(rms)) | (rms <= 3 * self.noise))
 
 

@@ -1,6 +1,6 @@
 """From a vector of unknowns to the untouched signals, their derivatives, and what a small mass would change.
 
-Each channel's gain is eliminated, and with it what reaches the channel from the emitter's cable without the plate.
+Each channel's gain is eliminated, and with it what the channel hears beside the plate.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from touchd.calibration.disc_response import DiscResponse
-from touchd.calibration.emission import drive_waves, emission
+from touchd.calibration.emission import background_waves, emission
 from touchd.calibration.loads import lines_along
 from touchd.calibration.parameters import Reader
 from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
@@ -33,8 +33,8 @@ class Fitted(NamedTuple):
     """Measured less fitted, shape (R, S), weighted by the window."""
     gains: Complex
     """Shape (R, GAIN_TERMS)."""
-    drive: Floats
-    """How much of each of `drive_waves` each channel hears, shape (R, 4)."""
+    background: Floats
+    """How much of each of `background_waves` each channel hears, shape (R, 6)."""
     slopes: Floats
     """Derivative of the residual by the active parameters, shape (P, R, S); without gains' freedom."""
 
@@ -66,19 +66,20 @@ class UntouchedModel:
         self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
         x, emitted = band(a, record.hz), emission(a, self.nu_rad_s)
         self._emission = np.stack([emitted * x**k for k in range(GAIN_TERMS)])  # (K, F)
-        self._drive = drive_waves(a)
+        self._background = background_waves(a)  # (6, S)
 
     def fit(self, p: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
         """Return a vector's misfit in samples weighed by `window` (S,), and its derivatives by `active` unknowns."""
         response = self._response(p)
         heard = response.untouched()
         scale = np.sqrt(np.mean(np.abs(heard) ** 2))
-        basis = self._heard_basis(heard / scale) * window  # (R, 2 K + 4, S)
+        basis = self._heard_basis(heard / scale) * window  # (R, 2 K + 6, S)
         chain = self.reader.chain(p)
         by_name = response.slopes({chain[name][0] for name in active})
         changes = [by_name[chain[name][0]] * (chain[name][1] / scale) for name in active]
         y = self.measured * window
-        gains, drive = np.empty((len(y), GAIN_TERMS), dtype=complex), np.empty((len(y), len(self._drive)))
+        gains = np.empty((len(y), GAIN_TERMS), dtype=complex)
+        background = np.empty((len(y), len(self._background)))
         residual, slopes = np.empty_like(y), np.empty((len(active), *y.shape))
         for c, B in enumerate(basis):
             normal = B @ B.T
@@ -86,13 +87,13 @@ class UntouchedModel:
             solver = np.linalg.solve(normal, B)
             found = solver @ y[c]
             residual[c] = y[c] - found @ B
-            real, imaginary, drive[c] = np.split(found, [GAIN_TERMS, 2 * GAIN_TERMS])
+            real, imaginary, background[c] = np.split(found, [GAIN_TERMS, 2 * GAIN_TERMS])
             gains[c] = real + 1j * imaginary
             if active:
                 moved = self._to_time(np.stack([change[c] for change in changes]) * (gains[c] @ self._emission))
                 moved *= window
                 slopes[:, c] = (moved @ solver.T) @ B - moved
-        return Fitted(residual, gains / scale, drive, slopes)
+        return Fitted(residual, gains / scale, background, slopes)
 
     def pair_misfits(self, p: Floats, window: Floats) -> Floats:
         """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
@@ -125,7 +126,7 @@ class UntouchedModel:
             met, energy = np.zeros((2, len(part)))
             for k, (receiver, spectrum, Q, left) in enumerate(zip(receivers, heard, basis, residual, strict=True), 1):
                 waves = self._to_time((emitter * receiver - before[0] * before[k]) * spectrum)
-                waves -= (waves @ Q) @ Q.T  # what a gain and the drive would do
+                waves -= (waves @ Q) @ Q.T  # what a gain and the background would do
                 met += waves @ left
                 energy += np.square(waves).sum(axis=1)
             met = met if from_m is None else np.maximum(met, 0.0)
@@ -143,14 +144,14 @@ class UntouchedModel:
         return np.concatenate([self._to_time(waves), self._to_time(1j * waves)], axis=-2)
 
     def _heard_basis(self, heard: Complex) -> Floats:
-        """Return what responses (R, F) are heard as: gains times their waves, and the drive, (R, 2 K + 4, S)."""
+        """Return what responses (R, F) are heard as: gains times their waves, and the background, (R, 2 K + 6, S)."""
         waves = self._basis(heard[:, None] * self._emission)
-        return np.concatenate([waves, np.broadcast_to(self._drive, (len(waves), *self._drive.shape))], axis=1)
+        return np.concatenate([waves, np.broadcast_to(self._background, (len(waves), *self._background.shape))], axis=1)
 
     def signals(self, p: Floats, fitted: Fitted) -> Floats:
-        """Return the signals (R, S) of a vector with the gains, and the drive, of a fit."""
-        return self._to_time(self._response(p).untouched() * (fitted.gains @ self._emission)) + self.driven(fitted)
+        """Return the signals (R, S) of a vector with the gains and the background of a fit."""
+        return self._to_time(self._response(p).untouched() * (fitted.gains @ self._emission)) + self.beside(fitted)
 
-    def driven(self, fitted: Fitted) -> Floats:
-        """Return what each channel hears of the drive itself, (R, S)."""
-        return np.asarray(fitted.drive @ self._drive)
+    def beside(self, fitted: Fitted) -> Floats:
+        """Return what each channel hears beside the plate, (R, S)."""
+        return np.asarray(fitted.background @ self._background)
