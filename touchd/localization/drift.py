@@ -1,16 +1,13 @@
-"""Temperature, gains and delay of the plate and its electronics, and the correction of bins for them.
+"""Temperature and gains of the plate and its electronics, and the correction of bins for them.
 
 The field atlas was learned at one temperature with one set of gains. The baseline follows the untouched plate and so
 tells how far it has come from there; a frame's bins are corrected for that. While a finger rests on the plate the
 baseline is frozen and the plate drifts on. `Drift` follows the few directions in which it can, with a time constant of
 0.3 s, and subtracts what lies along them.
 
-A plate that warms gets slower, by the same share at every frequency: what it answered to an impulse at t it now answers
-at t (1 - s). The chirp that it is struck with stays as it was. So the part of the signal about the frequency f, emitted
-at the time tau(f), is stretched about tau(f) and not about the start of the frame.
-
-Cables that run side by side bring the drive itself into the channels, unstretched, and more or less of it once somebody
-has laid them anew. What may be drive tells nothing of the plate.
+A disc and its bond age: gain and phase of a channel then tilt along the band, as the untouched plate shows, too. Cables
+that run side by side bring the drive itself into the channels, unstretched, and more or less of it once somebody has
+laid them anew. What may be drive tells nothing of the plate.
 """
 
 from __future__ import annotations
@@ -20,10 +17,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.frame import HANN, Acquisition
 from touchd.localization.atlas import Array, Atlas
+from touchd.localization.plate_changes import delayed, drive_waves, plate_directions, stretch_matrix
 
 Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 DEAD_BELOW = 0.05
 """A channel with less than this share of its energy in training is dead."""
@@ -31,11 +29,10 @@ FOLLOW_S = 0.3
 """Time constant of the correction under a finger: slow for noise, quick for a temperature."""
 FOLLOW_EVERY_NS = 40_000_000
 """Least time between two updates of it."""
-_ROUNDS = 2  # the stretch is fitted to first order
+_ROUNDS = 3  # the stretch is fitted to first order
+_EXACT = 3e-3  # gains nearer to 1 are left as they are: that moves a finger by 1 um
 _LARGEST_STRETCH = 3e-3  # some seventy kelvin: beyond it the first order is wrong, and so is the cause
 _LARGEST_GAIN = 30.0  # or its inverse: an audio interface's knob was turned; another plate's gains are near 0
-_LEAD = 0.1
-"""Share of the period by which a bin's answer, sharp in frequency, begins before its frequency is emitted."""
 
 
 class Drift:
@@ -60,7 +57,9 @@ class Drift:
         self._channels, self._size = a.channels, atlas.size
         self.matrix: Array = self._plain.astype(self._dtype)
         """What takes samples to bins, shape (samples, 2 * bins)."""
-        self._scale: Array | None = None
+        self._inverse: Array | None = None
+        """What undoes the gains: each part's factors, and those of the other part, shape (2, channels, 2, bins)."""
+        self._crossed: Array = np.zeros((a.channels, 2, len(bins)), self._dtype)
         self.directions: Array = np.zeros((0, self._size), self._dtype)
         """Orthonormal directions in which the untouched plate can move, shape (up to 2 + channels, size)."""
         self._along = np.zeros(0, self._dtype)
@@ -74,8 +73,8 @@ class Drift:
         """Time of the last update, or of the first frame with a finger."""
         self.stretch = 0.0
         """Relative rise of the plate's resonances since training; -4.5e-5 a kelvin on glass."""
-        self.gains = np.ones(a.channels)
-        """Of each channel, relative to training."""
+        self.gains: Complex = np.ones((a.channels, len(bins)), np.complex128)
+        """Of each channel along the band, relative to training, shape (channels, bins)."""
         self.dead = np.zeros(a.channels, bool)
         """Channels without a signal."""
         self.signal_energy = 1.0
@@ -89,9 +88,11 @@ class Drift:
         self.dead = self._plate_energy(live) < DEAD_BELOW * self._known
         self.stretch, self.gains = self._fit(live)
         self.matrix = (self._plain - self.stretch * self._stretched).astype(self._dtype)
-        self._scale = None
-        if np.abs(self.gains - 1).max() > 1e-3:
-            self._scale = (1 / self.gains).astype(self._dtype)[:, None]
+        self._inverse = None
+        if np.abs(self.gains - 1).max() > _EXACT:
+            real, imaginary = (1 / self.gains).real, (1 / self.gains).imag
+            inverse = np.stack([[real, real], [-imaginary, imaginary]]).swapaxes(1, 2)
+            self._inverse = np.ascontiguousarray(inverse, self._dtype)
         self._set_directions(live)
         self.reset()
 
@@ -99,8 +100,11 @@ class Drift:
         """Write the corrected bins of a residual of shape (channels, samples) to `out`, of shape (size,)."""
         table = out.reshape(self._channels, -1)
         residual.dot(self.matrix, table)
-        if self._scale is not None:
-            np.multiply(table, self._scale, out=table)
+        if self._inverse is not None:
+            parts = out.reshape(self._crossed.shape)
+            np.multiply(parts[:, ::-1], self._inverse[1], out=self._crossed)
+            np.multiply(parts, self._inverse[0], out=parts)
+            np.add(parts, self._crossed, out=parts)
         if self._moved:
             np.subtract(out, self._drifted, out)
 
@@ -145,37 +149,50 @@ class Drift:
         return np.asarray(self._plate_energy(residual + baseline) < DEAD_BELOW * self._known)
 
     def _plate_energy(self, signal: Array | Floats) -> Floats:
-        """Return the energy of what each channel's bins hold beside what may be the drive, shape (channels,)."""
-        bins = signal @ self._plain
-        return np.asarray(np.square(bins - (bins @ self._drive.T) @ self._drive).sum(axis=1))
+        """Return the energy of each channel's bins without what may be the drive, shape (channels,)."""
+        return np.asarray(np.square(self._without_drive(signal @ self._plain)).sum(axis=1))
 
-    def _fit(self, live: Floats) -> tuple[float, Floats]:
-        """Return stretch and gains that lead from the untouched plate in training to the one now."""
-        gains, stretch = np.ones(self._channels), 0.0
-        alive = ~self.dead
-        if not alive.any():
+    def _without_drive(self, bins: Floats) -> Floats:
+        """Return bins (..., 2 * bins) without what may be the drive."""
+        return np.asarray(bins - (bins @ self._drive.T) @ self._drive)
+
+    def _fit(self, live: Floats) -> tuple[float, Complex]:
+        """Return stretch and gains that lead from the untouched plate in training to the one now.
+
+        A gain is linear along the band, in real and imaginary part: a delay is the slope of its phase.
+        """
+        stretch, gains = 0.0, np.ones_like(self.gains)
+        alive = np.flatnonzero(~self.dead)
+        if not alive.size:
             return stretch, gains
-        size = np.linalg.norm(self._reference @ self._plain)
+        middle, half = np.mean(self._omega_rad_s), np.ptp(self._omega_rad_s) / 2 or 1.0
+        along = (self._omega_rad_s - middle) / half
+        now, known, stretched = (
+            _to_complex(bins)
+            for bins in (live @ self._plain, self._reference @ self._plain, self._reference @ self._stretched)
+        )
         for _ in range(_ROUNDS):
-            expected = self._reference @ self._plain + stretch * (self._reference @ self._stretched)
-            slope = gains[:, None] * (self._reference @ self._stretched)
-            error = live @ self._plain - gains[:, None] * expected
-            columns = [slope, gains[:, None] * delayed(expected, self._omega_rad_s)]
-            each = [np.arange(self._channels)[:, None] == r for r in np.flatnonzero(alive)]
-            columns += [np.where(own, expected, 0.0) for own in each]
-            columns += [np.where(own, size * wave, 0.0) for own in each for wave in self._drive]
-            system = np.stack([column[alive].ravel() for column in columns], axis=1)
-            found = np.linalg.lstsq(system, error[alive].ravel(), rcond=1e-9)[0]
+            expected = known + stretch * stretched
+            each = np.stack([expected, 1j * expected, along * expected, 1j * along * expected], axis=1)[alive]
+            columns = np.zeros((1 + 4 * len(alive), len(alive), 2 * len(along)))
+            columns[0] = _to_parts(gains * stretched)[alive]
+            for k, own in enumerate(_to_parts(each)):
+                columns[1 + 4 * k : 5 + 4 * k, k] = own
+            error = self._without_drive(_to_parts(now - gains * expected)[alive])
+            system = self._without_drive(columns).reshape(len(columns), -1).T
+            found = np.linalg.lstsq(system, error.ravel(), rcond=1e-9)[0]
             stretch += float(found[0])
-            gains[alive] += found[2 : 2 + len(each)]
-        sound = abs(stretch) < _LARGEST_STRETCH and 1 / _LARGEST_GAIN < gains.min() <= gains.max() < _LARGEST_GAIN
-        return (stretch, gains) if sound else (0.0, np.ones(self._channels))
+            c = found[1:].reshape(-1, 4, 1)
+            gains[alive] += c[:, 0] + 1j * c[:, 1] + along * (c[:, 2] + 1j * c[:, 3])
+        size = np.abs(gains)
+        sound = abs(stretch) < _LARGEST_STRETCH and 1 / _LARGEST_GAIN < size.min() <= size.max() < _LARGEST_GAIN
+        return (stretch, gains) if sound else (0.0, np.ones_like(gains))
 
     def _set_directions(self, live: Floats) -> None:
         """Set the directions in which the untouched plate can move."""
-        bins, stretched = live @ self.matrix, live @ self._stretched
-        if self._scale is not None:
-            bins, stretched = bins * self._scale, stretched * self._scale
+        bins, stretched = (
+            _to_parts(_to_complex(each) / self.gains) for each in (live @ self.matrix, live @ self._stretched)
+        )
         self.signal_energy = max(float(np.square(bins).sum()), 1.0)
         bins[self.dead] = stretched[self.dead] = 0.0
         self.delay = delayed(bins, self._omega_rad_s).ravel()
@@ -185,92 +202,12 @@ class Drift:
         self._step = np.zeros_like(self._along)
 
 
-def drive_waves(acquisition: Acquisition) -> Floats:
-    """Return the waves that a channel may hear of the drive, shape (4, samples).
-
-    The chirp and what a capacitance makes of it, its derivative, and both a quarter of a wave later, for filters.
-    """
-    chirp, t_s = acquisition.chirp, np.arange(acquisition.samples) / acquisition.sample_rate_hz
-    rate = (chirp.stop_hz - chirp.start_hz) / chirp.duration_s
-    phase, f = 2 * np.pi * (chirp.start_hz + rate * t_s / 2) * t_s, (chirp.start_hz + rate * t_s) / chirp.stop_hz
-    return np.asarray(
-        (t_s < chirp.duration_s) * np.stack([np.sin(phase), f * np.cos(phase), np.cos(phase), f * np.sin(phase)])
-    )
+def _to_complex(bins: Floats) -> Complex:
+    """Return bins (..., 2 b), real parts and then imaginary ones, as complex numbers (..., b)."""
+    real, imaginary = np.split(bins, 2, axis=-1)
+    return np.asarray(real + 1j * imaginary)
 
 
-def emission_s(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
-    """Return when the linear chirp passes the frequency of each bin, s after the frame's start, shape (bins,)."""
-    chirp = acquisition.chirp
-    f_hz = np.asarray(bins) * acquisition.sample_rate_hz / acquisition.samples
-    return np.asarray((f_hz - chirp.start_hz) / (chirp.stop_hz - chirp.start_hz) * chirp.duration_s)
-
-
-def stretch_matrix(acquisition: Acquisition, bins: NDArray[np.int64], taper: float = HANN) -> Floats:
-    """Return the matrix from samples to the derivative of the windowed bins by a stretch of the plate's response.
-
-    A signal y of shape (..., samples) whose plate has become slower or faster since has the features
-    y @ windowed_dft + s * (y @ stretch_matrix): s is the relative rise of all its resonances' frequencies, -4.5e-5 a
-    kelvin for the twin's glass.
-
-    Parameters
-    ----------
-    acquisition : Acquisition
-    bins : array of int, shape (b,)
-        Indices of the DFT bins.
-    taper : float
-        Of their window.
-
-    Returns
-    -------
-    array of float64, shape (samples, 2 * b)
-        Columns as `touchd.localization.features.windowed_dft` orders them: real parts, then imaginary parts.
-    """
-    n, rate_hz = acquisition.samples, acquisition.sample_rate_hz
-    bins = np.asarray(bins)
-    # The features are a sum over samples of the derivative y'(t) times t - tau(f), window and phase. The index product
-    # is reduced modulo the length first: cos of a large argument loses digits.
-    phase = (np.outer(np.arange(n), bins) % n) * (2 * np.pi / n)
-    later_s = np.arange(n)[:, None] / rate_hz - emission_s(acquisition, bins)
-    period_s = acquisition.chirp.period_s
-    if period_s is not None:  # what comes before the chirp's own answer is the ringing of the one before
-        later_s = (later_s + _LEAD * period_s) % period_s - _LEAD * period_s
-    weight = acquisition.window(taper)[:, None] * later_s
-    # y' is that of the band-limited signal, a product with i omega: the transpose of that step, applied to the weights.
-    slope = 2j * np.pi * np.fft.rfftfreq(n, 1 / rate_hz)
-    if n % 2 == 0:
-        slope[-1] = 0.0  # the alternating signal has no slope at its samples
-
-    def derived(columns: Floats) -> Floats:
-        return np.asarray(np.fft.irfft(-slope[:, None] * np.fft.rfft(columns, axis=0), n, axis=0))
-
-    return np.concatenate([derived(weight * np.cos(phase)), derived(-weight * np.sin(phase))], axis=1)
-
-
-def delayed(bins: Floats, omega_rad_s: Floats) -> Floats:
-    """Return what a delay of a second adds to bins (channels, 2 * bins) in first order: -i omega times them."""
-    count = len(omega_rad_s)
-    return np.concatenate([omega_rad_s * bins[:, count:], -omega_rad_s * bins[:, :count]], axis=1)
-
-
-def plate_directions(bins: Floats, stretched: Floats, omega_rad_s: Floats) -> Floats:
-    """Return the orthonormal directions in which the untouched plate can move: stretch, delay, and each gain.
-
-    Parameters
-    ----------
-    bins : array of shape (channels, 2 * bins)
-        Of the untouched plate; zero in dead channels.
-    stretched : array of the same shape
-        Their derivative by a stretch.
-    omega_rad_s : array of shape (bins,)
-
-    Returns
-    -------
-    array of shape (up to 2 + channels, channels * 2 * bins), without rows on a rig that hears nothing.
-    """
-    rows = [stretched, delayed(bins, omega_rad_s)]
-    rows += [np.where(np.arange(len(bins))[:, None] == r, bins, 0.0) for r in np.flatnonzero(bins.any(axis=1))]
-    table = np.stack([row.ravel() for row in rows])
-    norm = np.linalg.norm(table, axis=1, keepdims=True)
-    if not (norm > 0).all():
-        return np.zeros((0, bins.size))
-    return np.asarray(np.linalg.qr((table / norm).T)[0].T)
+def _to_parts(bins: Complex) -> Floats:
+    """Return complex bins (..., b) as `_to_complex` takes them."""
+    return np.concatenate([bins.real, bins.imag], axis=-1)

@@ -12,12 +12,12 @@ from touchd.detection.baseline import Signal
 from touchd.detection.detection import Detection
 from touchd.frame import Acquisition
 from touchd.keypad import Layout
-from touchd.localization.drift import plate_directions, stretch_matrix
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.features import Features, band_bins, windowed_dft
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
+from touchd.localization.plate_changes import plate_directions, stretch_matrix
 from touchd.localization.stillness import StillFrame
 from touchd.outcome import Outcome
 from touchd.touch import Touch

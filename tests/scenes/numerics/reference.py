@@ -83,38 +83,54 @@ class Plate:
     """What has become of the untouched plate since the atlas was learned."""
 
     stretch: float
-    gains: Floats
-    """Shape (channels,)."""
+    gains: Complex
+    """Along the band, shape (channels, bins)."""
     dead: NDArray[np.bool_]
     """Shape (channels,)."""
 
 
 def plate_of(baseline: NDArray[np.floating], atlas: Atlas) -> Plate:
-    """Compare the untouched plate with that of the atlas: a stretch, a delay, and a gain for each live channel.
+    """Compare the untouched plate with that of the atlas: a stretch, and a gain and some drive for each live channel.
 
-    Least squares over the bins, the model linear in a stretch and a delay for small ones, iterated until it stands
-    still.
+    Least squares over the bins. A gain is complex and linear along the band; the drive is the chirp and its derivative,
+    each at any phase. The model is linear in a small stretch, and iterated.
     """
     d = atlas.description
     a, bins = d.acquisition, np.array(d.bins)
-    known, live = np.asarray(atlas.baseline, np.float64), np.asarray(baseline, np.float64)
-    dead = (live**2).sum(axis=1) < 0.05 * (known**2).sum(axis=1)
-    gains, stretch, channels = np.ones(a.channels), 0.0, a.channels
+    known, live = (bins_of(np.asarray(each, np.float64), bins, d.taper) for each in (atlas.baseline, baseline))
+    rise = stretched_bins(atlas.baseline, bins, a, d.taper)
+    chirp, t_s = a.chirp, np.arange(a.samples) / a.sample_rate_hz
+    hz = chirp.start_hz + (chirp.stop_hz - chirp.start_hz) * t_s / chirp.duration_s
+    turning = np.where(t_s < chirp.duration_s, np.exp(1j * np.pi * (chirp.start_hz + hz) * t_s), 0)
+    played = np.stack([turning.imag, turning.real, hz * turning.imag, hz * turning.real])
+    drive = bins_of(played / np.linalg.norm(played, axis=1)[:, None], bins, d.taper)
+    heard = np.linalg.qr(flat(drive[:, None]).T)[0].T.reshape(4, 2, -1)
+    drive = heard[:, 0] + 1j * heard[:, 1]
+    there, once = (
+        flat(each[:, None]) - flat(each[:, None]) @ flat(drive[:, None]).T @ flat(drive[:, None])
+        for each in (live, known)
+    )
+    dead = np.asarray(np.square(there).sum(axis=1) < 0.05 * np.square(once).sum(axis=1))
+    gains, stretch, channels = np.ones((a.channels, len(bins)), complex), 0.0, a.channels
     alive = np.flatnonzero(~dead)
     if not len(alive):
         return Plate(stretch, gains, dead)
-    value, rise = bins_of(known, bins, d.taper), stretched_bins(known, bins, a, d.taper)
-    found = bins_of(live, bins, d.taper)
-    omega = 2 * np.pi * bins * a.sample_rate_hz / a.samples
-    for _ in range(2):  # as often as the fast path, which has to be quick
-        expected = value + stretch * rise
-        columns = [gains[:, None] * rise, gains[:, None] * -1j * omega * expected]
-        columns += [np.where(np.arange(channels)[:, None] == r, expected, 0) for r in alive]
+    along = 2 * (bins - bins.mean()) / np.ptp(bins)
+    size = np.linalg.norm(known)
+    for _ in range(3):  # as often as the fast path, which has to be quick
+        expected = known + stretch * rise
+        columns = [gains * rise]
+        for r in alive:
+            own = np.arange(channels)[:, None] == r
+            columns += [np.where(own, part * expected, 0) for part in (1, 1j, along, 1j * along)]
+            columns += [np.where(own, size * wave, 0) for wave in drive]
         system = np.stack([flat(c[alive]) for c in columns], axis=1)
-        move = np.linalg.lstsq(system, flat((found - gains[:, None] * expected)[alive]), rcond=1e-9)[0]
-        stretch, gains[alive] = stretch + move[0], gains[alive] + move[2:]
-    if not (abs(stretch) < 3e-3 and 1 / 30 < gains.min() <= gains.max() < 30):
-        stretch, gains = 0.0, np.ones(channels)
+        move = np.linalg.lstsq(system, flat((live - gains * expected)[alive]), rcond=1e-9)[0]
+        steps = move[1:].reshape(len(alive), 8, 1)
+        stretch += move[0]
+        gains[alive] += steps[:, 0] + 1j * steps[:, 1] + along * (steps[:, 2] + 1j * steps[:, 3])
+    if not (abs(stretch) < 3e-3 and 1 / 30 < np.abs(gains).min() <= np.abs(gains).max() < 30):
+        stretch, gains = 0.0, np.ones_like(gains)
     return Plate(stretch, gains, dead)
 
 
@@ -124,8 +140,8 @@ def atlas_features(residual: NDArray[np.floating], plate: Plate, atlas: Atlas) -
     bins = np.array(d.bins)
     found = bins_of(residual, bins, d.taper)
     found = found - plate.stretch * stretched_bins(residual, bins, d.acquisition, d.taper)
-    if np.abs(plate.gains - 1).max() > 1e-3:  # the fast path leaves smaller differences be
-        found = found / plate.gains[:, None]
+    if np.abs(plate.gains - 1).max() > 3e-3:  # the fast path leaves smaller differences be
+        found = found / plate.gains
     return flat(found)
 
 

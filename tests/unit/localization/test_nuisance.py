@@ -14,10 +14,10 @@ from tests.fields import BINS, RIG, Field, bins_of, in_double, look_up, make_atl
 from tests.unit.localization.rig import Rig, at
 from touchd.config.schema import Settings
 from touchd.detection.impulses import WIDTH
-from touchd.localization.drift import delayed
 from touchd.localization.features import windowed_dft
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.nuisance import Nuisance, hit_rows
+from touchd.localization.plate_changes import delayed
 from touchd.outcome import Outcome
 
 FIELD = Field()

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.frame import Acquisition, Chirp
-from touchd.localization.drift import emission_s, stretch_matrix
 from touchd.localization.features import band_bins, windowed_dft
+from touchd.localization.plate_changes import emission_s, stretch_matrix
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.evaluation.dataset import Array, Dataset, baseline_frames, labels
-from touchd.localization.drift import stretch_matrix
 from touchd.localization.features import band_bins, windowed_dft
+from touchd.localization.plate_changes import stretch_matrix
 from touchd.recording.data import Recording
 
 STANDS_OUT = 9.0

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.evaluation.dataset import make_dataset
-from touchd.localization.drift import stretch_matrix
 from touchd.localization.features import band_bins, windowed_dft
+from touchd.localization.plate_changes import stretch_matrix
 from touchd.recording.data import Recording
 from touchd.training.data.temperature import NEAR_S, at_one_temperature, smooth
 
