@@ -327,7 +327,7 @@ def test_a_hole(tmp_path: Path) -> None:
     known = fit_plate(said(scatterers=[{"at_mm": [50.6, 29.5], "diameter_mm": 12}]), heard_hole)
     assert known.verdict == "good"
     assert known.unexplained < 1e-3
-    assert places_off_mm(known) < 0.1
+    assert places_off_mm(known) < 0.12
 
 
 def test_a_button() -> None:

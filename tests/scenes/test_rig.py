@@ -53,7 +53,7 @@ def test_idle(rig: str, instrument: Instrument) -> None:
     assert outcome.counters.inferred <= 500 / 8
 
 
-def test_cables_laid_anew() -> None:
+def test_cables_that_were_moved() -> None:
     """The drive in all channels, as loud as the plate, hides no gloved tap; the shipped model knows nothing of it."""
     driven = EFFECTS["feedthrough 0 dB"].instrument(DEFAULT_PLATE)
     stage = stage_scene("tap", DEFAULT_PLATE, seed=17, finger="glove")

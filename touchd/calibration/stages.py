@@ -168,7 +168,8 @@ def _with_plane(model: UntouchedModel, state: State) -> Floats:
     plane, stretch = model.reader.index(("plane", "stretch"))
     tried[:, plane], tried[:, stretch] = PLANES, model.reader.start[stretch]
     window = window_of(model, WHOLE)
-    return tried[np.argmin([np.square(model.fit(each, window).residual).sum() for each in tried])]
+    left = [float(np.square(model.fit(each, window).residual).sum()) for each in tried]
+    return np.asarray(tried[int(np.argmin(left))])
 
 
 def _with_beads(model: UntouchedModel, state: State) -> Floats:

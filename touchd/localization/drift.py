@@ -7,7 +7,7 @@ baseline is frozen and the plate drifts on. `Drift` follows the few directions i
 
 A disc and its bond age: gain and phase of a channel then tilt along the band, as the untouched plate shows, too. Cables
 that run side by side bring the drive itself into the channels, unstretched, and more or less of it once somebody has
-laid them anew. What may be drive tells nothing of the plate.
+moved them. What may be drive tells nothing of the plate.
 """
 
 from __future__ import annotations

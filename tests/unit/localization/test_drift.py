@@ -42,12 +42,12 @@ def test_stretch_and_gains(stretch: float, delay_s: float, gains: list[float]) -
     """Stretch and gains are recovered at any delay, the stretch within a tenth, as the operator is.
 
     The delay turns the gains along the band: the second order of a tenth of a microsecond, 1e-3, looks like a stretch
-    of 6e-6.
+    of 6e-6, and that of twenty kelvin like gains that tilt by 2 %.
     """
     drift = after(np.array(gains)[:, None] * untouched(stretch, delay_s))
     assert drift.stretch == pytest.approx(stretch, rel=0.15, abs=1e-5)
     turns = np.exp(-2j * np.pi * np.array(BINS) * RIG.sample_rate_hz / RIG.samples * delay_s)
-    np.testing.assert_allclose(drift.gains, np.array(gains)[:, None] * turns, rtol=0.02)
+    np.testing.assert_allclose(drift.gains, np.array(gains)[:, None] * turns, rtol=0.04)
     assert not drift.dead.any()
 
 
@@ -74,14 +74,14 @@ def test_tilts(stretch: float, deg: list[float], db: list[float]) -> None:
 
 @given(STRETCH, GAINS, st.integers(0, 50), st.floats(0.0, 1.0))
 @settings(max_examples=30)
-def test_cables_laid_anew(stretch: float, gains: list[float], seed: int, level: float) -> None:
+def test_cables_that_were_moved(stretch: float, gains: list[float], seed: int, level: float) -> None:
     """The drive in the channels, as loud as the plate, changes neither stretch nor gains."""
     mixed = np.random.default_rng(seed).standard_normal((4, 4)) @ drive_waves(RIG)
     plate = np.array(gains)[:, None] * untouched(stretch)
     scale = level * np.linalg.norm(plate, axis=1) / np.linalg.norm(mixed, axis=1)
     drift = after(plate + scale[:, None] * mixed)
     assert drift.stretch == pytest.approx(stretch, rel=0.15, abs=1e-5)
-    np.testing.assert_allclose(drift.gains, np.tile(gains, (len(BINS), 1)).T, rtol=0.02)
+    np.testing.assert_allclose(drift.gains, np.tile(gains, (len(BINS), 1)).T, rtol=0.04)
 
 
 def test_a_disc_that_came_off() -> None:
