@@ -33,9 +33,9 @@ left the pane 0.6 mm too wide, a twentieth 0.03 mm off."""
 COHERENT_SAMPLES = 400.0
 """The same for standard errors: model error that looks like a parameter moves it as a whole. On plates of another
 simulator Poisson's ratio was off by seven times what a twentieth tells."""
-ENOUGH, CONVERGED = 0.5, 0.01
-"""An early stage, and a late one, ends where a step promises less than this of the objective: a fraction of a squared
-standard deviation. With what all discs have in common fits lingered at 0.1 before they found a bonded pane (twin)."""
+CONVERGED = 0.01
+"""A fit ends where a step promises less than this of the objective, a fraction of a squared standard deviation. With
+what all discs have in common fits lingered at 0.1 before they found a bonded pane, or discs of another size (twin)."""
 HALVINGS = 4
 BEADS_MM = np.concatenate([
     radius_mm * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -74,9 +74,7 @@ def variance_of(residual: Floats, window: Floats, noise: Floats, samples: float 
     return np.asarray(noise**2 + samples * np.maximum(mean - noise**2, 0.0))
 
 
-def descend(
-    model: UntouchedModel, p: Floats, names: tuple[str, ...], share: float, most: int, enough: float = ENOUGH
-) -> State:
+def descend(model: UntouchedModel, p: Floats, names: tuple[str, ...], share: float, most: int) -> State:
     """Fit the named unknowns to the first `share` of the frame, from `p`, by at most `most` Gauss-Newton steps."""
     noise, window = model.noise, window_of(model, share)
     at = model.reader.index(names)
@@ -93,7 +91,7 @@ def descend(
         covariance: Floats = np.asarray(np.linalg.inv(normal), np.float64)
         step = -covariance @ slope
         here = _objective(fitted, variance, p[at], start, prior)
-        if taken >= most or -step @ slope < enough:
+        if taken >= most or -step @ slope < CONVERGED:
             break
         for halving in range(HALVINGS):
             tried = p.copy()
@@ -152,14 +150,14 @@ def run_stages(
     if abs(np.log(there.h / here.h)) >= MOVED_THICKNESS or abs(there.nu - here.nu) >= MOVED_POISSON:
         model = UntouchedModel(_plate_near(reader, state.p, untouched), reader, untouched)
     progress(0.8)
-    state = descend(model, state.p, (*PLATE, *DISCS, *edges, *places), WHOLE, 8, CONVERGED)
+    state = descend(model, state.p, (*PLATE, *DISCS, *edges, *places), WHOLE, 8)
     energy = np.square(model.measured - model.beside(state.fitted)).sum()
     if state.left > HOPELESS * energy:
         return state, model
     if state.left > LEFT * energy:
-        again = descend(model, _with_plane(model, state), state.names, WHOLE, 8, CONVERGED)
+        again = descend(model, _with_plane(model, state), state.names, WHOLE, 8)
         state = min(state, again, key=lambda one: one.left)
-    return descend(model, _with_beads(model, state), (*state.names, *reader.joints), WHOLE, 8, CONVERGED), model
+    return descend(model, _with_beads(model, state), (*state.names, *reader.joints), WHOLE, 8), model
 
 
 def _with_plane(model: UntouchedModel, state: State) -> Floats:
