@@ -72,6 +72,14 @@ def test_a_channel_that_says_nothing_costs_no_touch(group: str, taps: Recording,
                 assert verdict.found == verdict.fingers, case.name
 
 
+def test_a_channel_inverted_since_the_training_costs_no_touch(taps: Recording, atlas_model: Model) -> None:
+    for case in cases():
+        if case.group == "one channel inverted":
+            verdict = tried(taps, case, since=0, seed=SEED, model=atlas_model)
+            check(verdict)
+            assert verdict.found == verdict.fingers, case.name
+
+
 @pytest.mark.parametrize("case", [*tones(-40, 15013.0), *tones(-20, 31013.0)], ids=lambda case: f"{case.name}")
 def test_tones_at_any_frequency_are_no_touches(case: Case, taps: Recording, atlas_model: Model) -> None:
     for since in moments(taps).values():
