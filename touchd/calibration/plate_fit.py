@@ -14,7 +14,7 @@ from touchd.calibration.parameters import LOGARITHMS, Reader, wavelength_mm
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
 from touchd.calibration.scatterers import scatterers
-from touchd.calibration.stages import State, run_stages
+from touchd.calibration.stages import GOOD_LEFT, State, run_stages
 from touchd.calibration.untouched import Untouched
 from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
@@ -31,9 +31,8 @@ NOISE = 1.0
 """Median error by noise, wavelengths times the RMS of a frame's noise relative to the signal."""
 MODEL = 0.04
 """Median error by physics that the fit lacks, wavelengths times the root of the energy that it leaves."""
-GOOD_LEFT, USABLE_LEFT = 0.003, 0.12
-"""Most energy that a good and a usable fit leave, beyond noise. With less than the former physics err less than
-fingertips differ (twin)."""
+USABLE_LEFT = 0.12
+"""Most energy that a usable fit leaves, beyond noise."""
 GOOD_MM, USABLE_MM = 0.2, 1.0
 """Largest expected error of a good and a usable fit, mm."""
 FINGER_MM = 12.0

@@ -43,10 +43,10 @@ BEADS_MM = np.concatenate([
 ])  # fmt: skip
 """From a disc's centre, where its bead is looked for. Short waves have minima there: on acrylic fits that began in the
 centres left 1.6 % of the energy, and 0.7 % from where the beads explain most (twin)."""
-LEFT = 0.003
-"""A fit that leaves more may have lost the waves in the plate's plane: what is bonded on a pane changes their speed by
-more than one of them is long (twin)."""
-PLANES = np.linspace(0.8, 1.3, 26)
+GOOD_LEFT = 0.003
+"""Most energy that a good fit leaves, beyond noise: physics then err less than fingertips differ (twin). A fit that
+leaves more may have lost the waves in the plate's plane, which what is bonded on a pane makes faster or slower."""
+PLANE_STARTS = np.linspace(0.8, 1.3, 26)
 """Stiffness in the plane from where they are looked for."""
 HOPELESS = 0.4
 """A fit that leaves this share of the energy is another plate's: its discs' joints tell nothing."""
@@ -154,7 +154,7 @@ def run_stages(
     energy = np.square(model.measured - model.beside(state.fitted)).sum()
     if state.left > HOPELESS * energy:
         return state, model
-    if state.left > LEFT * energy:
+    if state.left > GOOD_LEFT * energy:
         again = descend(model, _with_plane(model, state), state.names, WHOLE, 8)
         state = min(state, again, key=lambda one: one.left)
     return descend(model, _with_beads(model, state), (*state.names, *reader.joints), WHOLE, 8), model
@@ -162,9 +162,9 @@ def run_stages(
 
 def _with_plane(model: UntouchedModel, state: State) -> Floats:
     """Return a state's vector with waves in the plate's plane of the speed that leaves least."""
-    tried = np.repeat(state.p[None], len(PLANES), axis=0)
+    tried = np.repeat(state.p[None], len(PLANE_STARTS), axis=0)
     plane, stretch = model.reader.index(("plane", "stretch"))
-    tried[:, plane], tried[:, stretch] = PLANES, model.reader.start[stretch]
+    tried[:, plane], tried[:, stretch] = PLANE_STARTS, model.reader.start[stretch]
     window = window_of(model, WHOLE)
     left = [float(np.square(model.fit(each, window).residual).sum()) for each in tried]
     return np.asarray(tried[int(np.argmin(left))])

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.place_correction import LABELS_MM, Widths, correction_of, with_places
-from touchd.calibration.plate_fit import GOOD_LEFT, PlateFit, Progress
+from touchd.calibration.plate_fit import PlateFit, Progress
 from touchd.calibration.reduced_plate import Complex, Floats
+from touchd.calibration.stages import GOOD_LEFT
 from touchd.calibration.tap_fit import fit_taps
 from touchd.calibration.wave_correction import with_waves
 from touchd.errors import CalibrationError, TrainingError

@@ -21,7 +21,8 @@ _LEAD = 0.1
 def drive_waves(acquisition: Acquisition) -> Floats:
     """Return the waves that a channel may hear of the drive, shape (4, samples).
 
-    The chirp and what a capacitance makes of it, its derivative, and both a quarter of a wave later, for filters.
+    The chirp and what a capacitance makes of it, its derivative, and both a quarter of a wave later, for filters. As
+    the chirp is sampled: what the converters' filters do beyond the band is in no bin.
     """
     chirp, t_s = acquisition.chirp, np.arange(acquisition.samples) / acquisition.sample_rate_hz
     rate = (chirp.stop_hz - chirp.start_hz) / chirp.duration_s

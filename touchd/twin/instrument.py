@@ -38,6 +38,7 @@ ERROR = 1e-11
 """Error of the series in time and temperature relative to the signal: far below one count."""
 _STEADY_NODES, _DIGITS = 16, 9
 """Scales at which the untouched plate is computed in steady state, and decimal digits of interpolated contacts."""
+MOST_DRIVE_DB = 100.0
 MOST_LATE_S = 1e-6
 """Largest trigger delay; the Taylor series that shifts the signal converges up to it."""
 
@@ -95,6 +96,10 @@ class Instrument:
         if len(feedthrough) not in (0, receivers):
             raise SimulationError(
                 f"{len(feedthrough)} feedthroughs for {receivers} receivers", "feedthrough", "give one per receiver"
+            )
+        if not all(abs(db) <= MOST_DRIVE_DB and math.isfinite(deg) for db, deg in feedthrough):
+            raise SimulationError(
+                f"the drive more than {MOST_DRIVE_DB:g} dB off", "feedthrough", "a rig has -60 to 20 dB of it"
             )
         self._tilt = _tilt(tilts, a, self.response.nu_rad_s)
         self._tables(feedthrough)

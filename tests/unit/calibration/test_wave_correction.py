@@ -7,7 +7,7 @@ import pytest
 
 from tests.unit.calibration.plates import PLATE, basis_of, elastic
 from touchd.calibration.place_correction import Widths
-from touchd.calibration.plate_fit import GOOD_LEFT
+from touchd.calibration.stages import GOOD_LEFT
 from touchd.calibration.tap_fit import fit_taps
 from touchd.calibration.taps import Taps, refine, taps_of
 from touchd.calibration.wave_correction import Corrected, with_waves

@@ -47,6 +47,7 @@ def test_stretch_and_gains(stretch: float, delay_s: float, gains: list[float]) -
     drift = after(np.array(gains)[:, None] * untouched(stretch, delay_s))
     assert drift.stretch == pytest.approx(stretch, rel=0.15, abs=1e-5)
     turns = np.exp(-2j * np.pi * np.array(BINS) * RIG.sample_rate_hz / RIG.samples * delay_s)
+    np.testing.assert_allclose((drift.gains / turns).mean(axis=1), gains, rtol=0.02)
     np.testing.assert_allclose(drift.gains, np.array(gains)[:, None] * turns, rtol=0.04)
     assert not drift.dead.any()
 
@@ -81,6 +82,7 @@ def test_cables_that_were_moved(stretch: float, gains: list[float], seed: int, l
     scale = level * np.linalg.norm(plate, axis=1) / np.linalg.norm(mixed, axis=1)
     drift = after(plate + scale[:, None] * mixed)
     assert drift.stretch == pytest.approx(stretch, rel=0.15, abs=1e-5)
+    np.testing.assert_allclose(drift.gains.mean(axis=1), gains, rtol=0.02)
     np.testing.assert_allclose(drift.gains, np.tile(gains, (len(BINS), 1)).T, rtol=0.04)
 
 

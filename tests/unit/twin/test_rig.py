@@ -151,6 +151,15 @@ def test_feedthrough_is_late_with_the_trigger(small: Instrument) -> None:
         np.testing.assert_allclose(each, np.exp(sign * turn) * at_once, atol=1e-3 * np.abs(at_once).max())
 
 
+@pytest.mark.parametrize("driven", [(float("inf"), 0.0), (float("nan"), 0.0), (1e9, 0.0), (0.0, float("inf"))])
+def test_impossible_feedthrough(tmp_path: Path, driven: tuple[float, float]) -> None:
+    """Drive that no rig has is refused, and nothing is written."""
+    (tmp_path / "rig.toml").write_text(f"feedthrough = {[list(driven)] * 4}")
+    asked = ["simulate", "tap", "-o", str(tmp_path / "tap.npz"), "--rig", str(tmp_path / "rig.toml")]
+    assert main(asked) == SimulationError.exit_code
+    assert not (tmp_path / "tap.npz").exists()
+
+
 @pytest.mark.parametrize("what", ["tilts", "feedthrough"])
 def test_one_a_receiver(what: str) -> None:
     """Two tilts, or levels of the drive, for four receivers are refused."""
