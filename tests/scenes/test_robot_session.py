@@ -18,7 +18,7 @@ from touchd.twin.simulate import BLOCK, Session, simulate_session, simulate_touc
 
 PLATE = Plate(width_mm=90, height_mm=60, thickness_mm=5)
 ELECTRONICS = Electronics(jitter_s=5e-9, impulses=Impulses(share=0.3))
-SESSION = Session(TouchSet(150, stale_k=0.5), 3, PLATE, 5e-3, None, Rig(electronics=ELECTRONICS))
+SESSION = Session(TouchSet(150, stale_k=0.5), 3, PLATE, 5e-3, Rig(electronics=ELECTRONICS))
 
 
 @pytest.mark.parametrize("chunk", [BLOCK, 2 * BLOCK, 64 * BLOCK])

@@ -13,7 +13,6 @@ import click
 
 from touchd.cli.options import PATH, Number, NumberRange, check_output
 from touchd.config.schema import LogSettings
-from touchd.errors import SimulationError
 from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate
 from touchd.keypad import load_layout
 from touchd.recording import format as recording
@@ -27,8 +26,6 @@ from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
 from touchd.twin.simulate import Session, simulate_session, simulate_stage
 
 TOUCHES = "touches"
-MOST_TAIL_S = 0.05
-"""Ringing falls below -60 dB within this time, even at a loss factor of 1e-3."""
 _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
 
 
@@ -97,7 +94,6 @@ acquisition_option = click.option(
 @click.option(
     "--apart-mm", default=0.0, show_default=True, type=Number(), help="Least distance between the fingers' centres."
 )
-@click.option("--edge-gap-mm", type=Number(), metavar="MM", help="Exact gap between two fingers, edge to edge.")
 @click.option(
     "--label-noise-mm",
     default=0.0,
@@ -106,7 +102,6 @@ acquisition_option = click.option(
     help="Touches: standard deviation of the labels, per axis.",
 )
 @acquisition_option
-@click.option("--tail", is_flag=True, help="Include the ringing of earlier chirps.")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for touches.  [default: all cores]")
 @click.option("--dask", metavar="ADDRESS", help="Compute touches on the Dask cluster of this scheduler.")
 @click.option("--force", is_flag=True, help="Replace the recording if it exists.")
@@ -127,7 +122,6 @@ def command(
     noise_db: float | None,
     jitter_ns: float | None,
     acquisition: Acquisition,
-    tail: bool,
     jobs: int | None,
     dask: str | None,
     force: bool,
@@ -141,8 +135,8 @@ def command(
     touches = TouchSet(count or COUNT, finger or "silicone", **of_touches)  # its fields have the names of options
     if scene != TOUCHES and (count is not None or replace(touches, finger="silicone") != TouchSet()):
         raise click.UsageError(
-            "--count, --even, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm "
-            "apply to touches; use --frames"
+            "--count, --even, --stale-k, --temperature-k, --fingers, --apart-mm and --label-noise-mm apply to touches; "
+            "use --frames"
         )
     if scene != TOUCHES and not (jobs is None and dask is None):
         raise click.UsageError("--jobs and --dask apply to touches; a scene is simulated in one process")
@@ -159,28 +153,21 @@ def command(
         electronics = electronics._replace(jitter_s=jitter_ns * 1e-9)
     if scene == TOUCHES:
         total = 2 * touches.count
-        period_s = 0.5
     else:
         stage = stage_scene(
             scene, described, seed=seed, frames=frames, rate_hz=rate_hz, electronics=electronics, finger=finger,
             keys=keys, code=code,
         )  # fmt: skip
         total = len(stage.sequence)
-        period_s = 1 / stage.rate_hz
-    if tail and period_s > MOST_TAIL_S:
-        raise SimulationError(
-            f"a tail of {period_s:g} s", "tail", f"omit --tail: the ringing fades within {MOST_TAIL_S:g} s"
-        )
-    tail_period_s = period_s if tail else None
     configure(LogSettings())  # to standard error, beside the progress bar
     with ExitStack() as stack:
         if scene == TOUCHES:
             described_rig = held.model_copy(update={"electronics": electronics})
-            session = Session(touches, seed, described, loss, tail_period_s, described_rig, acquisition)
+            session = Session(touches, seed, described, loss, described_rig, acquisition)
             kept = stack.enter_context(parts_kept("touches", session))
             simulate = partial(simulate_session, session, workers=jobs, dask=dask, kept=kept)
         else:
-            instrument = held.instrument(described, loss=loss, tail_period_s=tail_period_s, acquisition=acquisition)
+            instrument = held.instrument(described, loss=loss, acquisition=acquisition)
             simulate = partial(simulate_stage, stage, instrument, seed)
         with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
             made = simulate(progress=bar.update)

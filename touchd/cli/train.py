@@ -28,10 +28,6 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
 @click.option("--seed", default=0, type=click.IntRange(min=0), show_default=True,
               help="Seed of the split, the weights and the augmentation.")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
-@click.option(
-    "--patience", type=click.IntRange(min=1),
-    help="Paper recipes: stop after this many epochs without a better validation RMSE.  [default: 30]",
-)  # fmt: skip
 @click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line: progress, then the result.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--force", is_flag=True, help="Replace what exists.")
@@ -44,7 +40,6 @@ def command(
     network: Path | None,
     seed: int,
     epochs: int | None,
-    patience: int | None,
     as_lines: bool,
     no_report: bool,
     force: bool,
@@ -66,7 +61,6 @@ def command(
     epochs = epochs or chosen.epochs
     options = f" --n {grid}" * (chosen.head == "grid")
     options += f" --layout {layout.name}" if layout and chosen.head == "keypad" else ""
-    options += f" --patience {patience}" if patience else ""
     options += f" --network {network.name}" if network else f" --seed {seed} --epochs {epochs}"
     names = [path.name for path in recording]
     said = f"touchd train {' '.join(names)} -o {output.name} --recipe {recipe}{options}"
@@ -103,7 +97,6 @@ def command(
                 layout=load_layout(layout or PHONE, touches.meta.plate) if chosen.head == "keypad" else None,
                 seed=seed,
                 epochs=epochs,
-                patience=patience,
                 command=said,
                 progress=progress,
                 warn=bars.warn,

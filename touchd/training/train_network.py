@@ -78,7 +78,6 @@ def train(
     seed: int = 0,
     epochs: int | None = None,
     share: float = 1.0,
-    patience: int | None = None,
     command: str = "",
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
     warn: Warn = lambda _note: None,
@@ -86,8 +85,8 @@ def train(
     """Train a model by a recipe and write it as an ONNX file.
 
     Equal recording, seed and number of threads give an equal network. The file is written only after a complete
-    training. It uses this `share` of the training part, for a learning curve; validation and test stay unchanged. For
-    `patience` see `fit`. `warn` receives each warning as soon as it arises. Raises TrainingError and OutputError.
+    training. It uses this `share` of the training part, for a learning curve; validation and test stay unchanged.
+    `warn` receives each warning as soon as it arises. Raises TrainingError and OutputError.
     """
     started_s = time.monotonic()
     torch.manual_seed(seed)
@@ -126,7 +125,7 @@ def train(
     if recipe.paper:
         batches, steps = _paper_batches(data, parts, generator)
         optimiser = torch.optim.Adam(network.parameters(), lr=PAPER_LEARNING_RATE)
-        curve = fit(network, batches, steps, optimiser, epochs or recipe.epochs, validate, progress, patience=patience)
+        curve = fit(network, batches, steps, optimiser, epochs or recipe.epochs, validate, progress)
     else:
         plate = data.meta.plate
         if not is_known(plate):
@@ -136,10 +135,7 @@ def train(
         augmenter = Augmenter(data, torch.from_numpy(parts.train), synthesiser, generator)
         batches, steps = _augmented_batches(augmenter, generator, others=isinstance(network, PositionNetwork))
         optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
-        curve = fit(
-            network, batches, steps, optimiser, epochs or recipe.epochs, validate, progress, peak=LEARNING_RATE,
-            patience=patience,
-        )  # fmt: skip
+        curve = fit(network, batches, steps, optimiser, epochs or recipe.epochs, validate, progress, peak=LEARNING_RATE)
         if isinstance(network, PositionNetwork) and network.noise_apart:
             held_out = torch.from_numpy(features[parts.validation])
             calibrate_sigma(network, augmenter, held_out, _positions(data, parts.validation))

@@ -49,12 +49,11 @@ class Instrument:
     Signals are in units of the peak of the untouched plate at the reference temperature. By default there are an
     emitter and four receivers, and frames of 250 samples at 250 kHz.
 
-    `loss` is the loss factor, 2e-3 .. 1e-2 for a mounted plate with bonded discs. With `tail_period_s` the ringing of
-    all previous chirps, one per period, is included, though the acquisition does not say so. `tilts` are those of each
-    receiver's phase and gain, (deg, dB), along the chirp's band, from its middle to its upper end. `feedthrough` is
-    what each receiver hears of the drive itself, (dB, deg): its level beside what the plate sends it, and its phase in
-    the middle of the band. `modes` are those of plate and discs by other physics than the twin's; real ones take
-    `loss`, complex ones have theirs. Raises SimulationError if the twin cannot simulate this instrument.
+    `loss` is the loss factor, 2e-3 .. 1e-2 for a mounted plate with bonded discs. `tilts` are those of each receiver's
+    phase and gain, (deg, dB), along the chirp's band, from its middle to its upper end. `feedthrough` is what each
+    receiver hears of the drive itself, (dB, deg): its level beside what the plate sends it, and its phase in the middle
+    of the band. `modes` are those of plate and discs by other physics than the twin's; real ones take `loss`, complex
+    ones have theirs. Raises SimulationError if the twin cannot simulate this instrument.
     """
 
     def __init__(
@@ -64,7 +63,6 @@ class Instrument:
         layout: Layout | None = None,
         acquisition: Acquisition | None = None,
         loss: float = 5e-3,
-        tail_period_s: float | None = None,
         mounting: Mounting = FREE,
         tilts: Sequence[tuple[float, float]] = (),
         feedthrough: Sequence[tuple[float, float]] = (),
@@ -77,9 +75,9 @@ class Instrument:
         a = self.acquisition
         if a.channels != receivers:
             raise SimulationError(f"{a.channels} channels but {receivers} receivers", "acquisition", "make them agree")
-        self._record = Record(a, tail_period_s)
+        self._record = Record(a)
         if self._record.steady and loss < 1e-4:
-            raise SimulationError("without loss, all chirps ring for ever", "tail", "use a loss factor")
+            raise SimulationError("without loss, all chirps ring for ever", "acquisition", "use a loss factor")
         if not 0 <= loss < 0.2:
             raise SimulationError(f"a loss factor of {loss:g}", "loss", "use 0 .. 0.2; glass with discs has 0.005")
         nu, highest_hz = self._record.nu_rad_s, a.highest_hz

@@ -24,18 +24,19 @@ _LEAST_DECAY_PER_S = 1e-3
 class Record:
     """The frequencies of a frame's record, and the way back to its samples: F frequencies, S samples.
 
-    The period of the acquisition's chirp tells steady state; `period_s` replaces it. Raises SimulationError if the
-    chirp does not fit into the frame, or the frame not into the period.
+    The period of the acquisition's chirp tells steady state. Raises SimulationError if the chirp does not fit into the
+    frame, or the frame not into the period.
     """
 
-    def __init__(self, acquisition: Acquisition, period_s: float | None = None) -> None:
+    def __init__(self, acquisition: Acquisition) -> None:
         a = acquisition
-        period_s = period_s or a.chirp.period_s
+        period_s = a.chirp.period_s
         frame_s = a.samples / a.sample_rate_hz
         if a.chirp.duration_s > frame_s * (1 + 1e-9):
             raise SimulationError("the chirp is longer than the frame", "acquisition", "record more samples")
         if period_s is not None and period_s < frame_s * (1 - 1e-9):
-            raise SimulationError("chirps follow each other faster than frames last", "tail", "lower the frame rate")
+            what = "chirps follow each other faster than frames last"
+            raise SimulationError(what, "acquisition", "use a longer period")
         self.steady = period_s is not None
         self.length = _FRAMES * a.samples if period_s is None else round(period_s * a.sample_rate_hz)
         self.decay_per_s = 0.0 if self.steady else _DAMPING * a.sample_rate_hz / self.length

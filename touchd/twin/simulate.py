@@ -198,7 +198,6 @@ class Session:
     seed: int
     plate: Plate
     loss: float
-    tail_period_s: float | None
     rig: Rig = IDEAL
     acquisition: Acquisition = ACQUISITIONS["usb"]
 
@@ -207,8 +206,8 @@ class Session:
 def _prepared(session: Session) -> tuple[Stage, Instrument]:
     """Write a session's timeline, and create its instrument, once per process; SimulationError if one is impossible."""
     s = session
-    settings = {"loss": s.loss, "tail_period_s": s.tail_period_s, "acquisition": s.acquisition}
-    return stage_touches(s.touches, s.plate, s.seed, s.rig.electronics), s.rig.instrument(s.plate, **settings)
+    instrument = s.rig.instrument(s.plate, loss=s.loss, acquisition=s.acquisition)
+    return stage_touches(s.touches, s.plate, s.seed, s.rig.electronics), instrument
 
 
 def simulate_session(

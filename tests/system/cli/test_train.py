@@ -176,12 +176,6 @@ def test_no_folder(glass: Trained, tmp_path: Path) -> None:
     assert str(tmp_path / "no") in text
 
 
-def test_patience(glass: Trained, tmp_path: Path) -> None:
-    """Patience is refused where the rate goes through a cycle."""
-    refused(TrainingError, "train", glass.recording, "-o", tmp_path / "a.onnx", "--patience", "3", "--epochs", "1")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_old_report(glass: Trained, tmp_path: Path) -> None:
     """A replaced model does not keep the older one's report."""
     model, recipe = tmp_path / "a.onnx", ["--recipe", "paper-regression", "--epochs", "1", "--force"]

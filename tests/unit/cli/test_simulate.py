@@ -42,9 +42,9 @@ def test_training_set(tmp_path: Path) -> None:
 
 
 def test_several_fingers(tmp_path: Path) -> None:
-    """Fingers, gap, temperature and label noise of a training set are those of its options."""
+    """Fingers, temperature and label noise of a training set are those of its options."""
     path, other = tmp_path / "two.npz", tmp_path / "reference.npz"
-    options = ["touches", "--count", "12", "--fingers", "2", "--edge-gap-mm", "8", *SMALL]
+    options = ["touches", "--count", "12", "--fingers", "2", *SMALL]
     assert call(*options, "-o", path, "--temperature-k", "-5", "--label-noise-mm", "0.3").exit_code == 0
     assert call(*options, "-o", other).exit_code == 0
     made, plain = read(path), read(other)
@@ -79,7 +79,7 @@ def test_wrong_options(tmp_path: Path) -> None:
     """Options of touches are refused for a scene, and the other way round."""
     path = tmp_path / "x.npz"
     assert call("touches", "-o", path, "--frames", "10").exit_code == 2
-    for option, value in (("count", 10), ("fingers", 2), ("apart-mm", 20), ("edge-gap-mm", 8), ("temperature-k", 5),
+    for option, value in (("count", 10), ("fingers", 2), ("apart-mm", 20), ("temperature-k", 5),
                           ("label-noise-mm", 0.3), ("stale-k", 1)):  # fmt: skip
         result = call("tap", "-o", path, f"--{option}", str(value))
         assert result.exit_code == 2

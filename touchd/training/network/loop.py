@@ -45,21 +45,14 @@ def fit(
     progress: Progress,
     *,
     peak: float | None = None,
-    patience: int | None = None,
 ) -> Curve:
     """Train a network in place, by epochs of `steps` batches.
 
     With `peak`, the learning rate follows one cycle (Smith and Topin 2019) up to it and down to zero. A one-cycle
     training is best at its end, so it runs all epochs and keeps the last weights. Without `peak`, training stops after
-    `patience` consecutive epochs without a better validation RMSE and keeps the best epoch's weights. Raises
-    TrainingError if both `peak` and `patience` are given, or the loss or RMSE is not finite.
+    `PATIENCE` consecutive epochs without a better validation RMSE and keeps the best epoch's weights. Raises
+    TrainingError if the loss or RMSE is not finite.
     """
-    if peak is not None and patience is not None:
-        raise TrainingError(
-            "a one-cycle schedule is best in its last epochs, which early stopping would omit",
-            "patience",
-            "omit --patience; use fewer epochs to shorten the training",
-        )
     schedule = None if peak is None else OneCycleLR(optimiser, peak, total_steps=epochs * steps)
     curve, best = Curve([], [], 0), copy.deepcopy(network.state_dict())
     kept = 0
@@ -88,7 +81,7 @@ def fit(
             kept = epoch
         elif curve.validation_mm[-1] < min(curve.validation_mm[:-1], default=math.inf):
             kept, best = epoch, copy.deepcopy(network.state_dict())
-        elif epoch - kept >= (patience or PATIENCE):
+        elif epoch - kept >= PATIENCE:
             progress("network", epochs, epochs, curve.validation_mm[kept - 1])
             break
     if schedule is None:

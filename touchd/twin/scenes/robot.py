@@ -60,8 +60,6 @@ class TouchSet:
     """Contacts of each touch, 1 .. 5, each with its own area, without overlap."""
     apart_mm: float = 0.0
     """Least distance between their centres."""
-    edge_gap_mm: float | None = None
-    """Exact gap between two round contacts, edge to edge, in any direction."""
     warmer_k: float = 0.0
     """Temperature of the session above the reference, K; may be negative."""
     label_noise_mm: float = 0.0
@@ -134,12 +132,9 @@ def _check(asked: TouchSet) -> None:
         raise SimulationError(f"{asked.count} touches", "count", "use 1 or more")
     if not 1 <= asked.fingers <= MOST_FINGERS:
         raise SimulationError(f"{asked.fingers} fingers", "fingers", f"use 1 .. {MOST_FINGERS}")
-    if asked.edge_gap_mm is not None and asked.fingers != 2:
-        raise SimulationError(f"a gap between {asked.fingers} fingers", "edge_gap", "use 2 fingers")
     if asked.even and asked.fingers != 1:
         raise SimulationError(f"even touches of {asked.fingers} fingers", "even", "use 1 finger, or touches at random")
-    lengths = {"apart": asked.apart_mm, "edge_gap": asked.edge_gap_mm or 0.0, "label_noise": asked.label_noise_mm}
-    for name, length_mm in lengths.items():
+    for name, length_mm in (("apart", asked.apart_mm), ("label_noise", asked.label_noise_mm)):
         if not 0 <= length_mm < np.inf:
             raise SimulationError(f"{length_mm:g} mm", name, "use a length of 0 or more")
 
@@ -148,8 +143,6 @@ def _who(asked: TouchSet) -> str:
     if asked.fingers == 1:
         return f"a {asked.finger} finger"
     together = f"{asked.fingers} {asked.finger} fingers"
-    if asked.edge_gap_mm is not None:
-        return f"{together} with {asked.edge_gap_mm:g} mm between their edges"
     return f"{together}, centres {asked.apart_mm:g} mm apart or more" if asked.apart_mm else together
 
 
@@ -157,7 +150,7 @@ def _places(asked: TouchSet, span: Floats, radius: Floats, rng: np.random.Genera
     """Return centres of contacts of long radii (count, fingers) on a span (2,), shape (count, fingers, 2), mm.
 
     All fingers of a touch are drawn again until they keep their distances, so all valid positions are equally
-    probable. Contacts never overlap. With `edge_gap_mm`, the first finger's position and the direction are uniform.
+    probable. Contacts never overlap.
     """
     count, fingers = radius.shape
     one, other = np.triu_indices(fingers, 1)
@@ -165,18 +158,9 @@ def _places(asked: TouchSet, span: Floats, radius: Floats, rng: np.random.Genera
     place = np.empty((count, fingers, 2))
     pending = np.arange(count)
     for _ in range(TRIES):
-        drawn = rng.uniform(size=(len(pending), fingers, 2))
-        if asked.edge_gap_mm is None:
-            drawn = span * drawn
-            apart = np.linalg.norm(drawn[:, one] - drawn[:, other], axis=-1)
-            fits = (apart >= least[pending]).all(axis=1)
-        else:
-            angle = 2 * np.pi * drawn[:, 1, 0]
-            apart = radius[pending].sum(axis=1) + asked.edge_gap_mm
-            drawn[:, 0] *= span
-            drawn[:, 1] = drawn[:, 0] + apart[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            fits = ((drawn[:, 1] >= 0) & (drawn[:, 1] <= span)).all(axis=1)
-            fits &= apart >= asked.apart_mm
+        drawn = span * rng.uniform(size=(len(pending), fingers, 2))
+        apart = np.linalg.norm(drawn[:, one] - drawn[:, other], axis=-1)
+        fits = (apart >= least[pending]).all(axis=1)
         place[pending[fits]] = drawn[fits]
         pending = pending[~fits]
         if not len(pending):
@@ -184,6 +168,6 @@ def _places(asked: TouchSet, span: Floats, radius: Floats, rng: np.random.Genera
     raise SimulationError(
         f"{_who(asked)} do not fit within {span[0]:g} x {span[1]:g} mm ({len(pending)} of {count} touches, "
         f"each drawn {TRIES} times)",
-        "apart" if asked.edge_gap_mm is None else "edge_gap",
+        "apart",
         "use fewer fingers, less distance, or a larger plate",
     )
