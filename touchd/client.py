@@ -56,7 +56,7 @@ class Subscriber(Generic[E]):
     It may be made before the daemon runs, and outlives a restart of it. Messages that the bus repeats, for another
     subscriber's sake, are left out. So are stale ones, which waited while this program or the connection stood still.
     A finger that was down by then is lifted first, and so is one of which no message came for 0.3 s, as the daemon
-    hangs or is gone: an event without contacts, and without an `up`.
+    hangs or is gone: an event without contacts, and without an `up`. Each key that is pressed is released before.
 
     Parameters
     ----------
@@ -151,7 +151,10 @@ class Subscriber(Generic[E]):
                 self._socket.setsockopt(zmq.CURVE_SERVERKEY, server)
                 self._socket.setsockopt(zmq.CURVE_PUBLICKEY, pair.public)
                 self._socket.setsockopt(zmq.CURVE_SECRETKEY, pair.secret)
-            for topic in self.topics:
+            # Touches are repeated while a key is pressed: who asks for keys alone needs their silence, too.
+            lifts = "key" in self.topics and self._max_age_s < math.inf
+            self._unasked = "touch" if lifts and not {"touch", ""} & set(self.topics) else None
+            for topic in (*self.topics, self._unasked) if self._unasked else self.topics:
                 self._socket.setsockopt(zmq.SUBSCRIBE, topic.encode())
             if len(addresses) == 1 and endpoint.is_file(self.address):
                 endpoint.refuse_forbidden(self.address)
@@ -226,7 +229,7 @@ class Subscriber(Generic[E]):
                 event = decode_message(parts, self.address)
                 new = None if event is None else self._stream(event.device).take(event)
                 drained += 1
-            if new is not None:
+            if new is not None and new.type != self._unasked:
                 if not self._newest_only:
                     return new  # type: ignore[return-value]  # the topics asked for decide what E is
                 self._keep(new)
@@ -241,7 +244,7 @@ class Subscriber(Generic[E]):
         )
 
     def _lifted(self) -> Event | None:
-        """Return that nothing is touched, of a device of which a finger was down and no touch came for too long."""
+        """Return that nothing is touched, or a key's release, of a device whose touches fell silent."""
         return next((lifted for stream in self._streams.values() if (lifted := stream.lift_silent()) is not None), None)
 
     def _connect(self, address: str) -> None:
@@ -259,7 +262,8 @@ class Subscriber(Generic[E]):
 
     def _keep(self, event: Event) -> None:
         """Let the event wait in place of an older one of its topic."""
-        source = (event.device, event.type, event.seq if isinstance(event, KeyEvent) else 0)
+        key = (event.seq, event.phase) if isinstance(event, KeyEvent) else None  # a silent daemon's have one `seq`
+        source = (event.device, event.type, key)
         if self._waiting.pop(source, None) is not None:
             self.dropped[event.type] += 1
         self._waiting[source] = event

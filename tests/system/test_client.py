@@ -354,6 +354,45 @@ def test_a_daemon_that_is_gone(wire: Wire, monkeypatch: pytest.MonkeyPatch, time
             events.receive(0)
 
 
+def pressed(touched: TouchEvent, phase: str = "press", key: str = "7") -> KeyEvent:
+    return KeyEvent("plate", touched.seq, touched.t_ns, touched.wall, key, phase, 1.0)  # type: ignore[arg-type]  # the callers give phases
+
+
+@pytest.mark.parametrize("newest_only", [False, True])
+@pytest.mark.parametrize("topics", [("key",), ("key", "touch")])
+def test_keys_of_a_daemon_that_is_gone(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch, topics: tuple[str, ...], newest_only: bool
+) -> None:
+    """A key is released once when its daemon falls silent, also for a program that asks for keys alone."""
+    with Subscriber(wire.address, topics, timeout_s=60, newest_only=newest_only) as events:
+        wire.wait()
+        wire.wait()
+        down = stamped(1, 0, "down")
+        wire.send(down, pressed(down))
+        first = next(event for event in events if isinstance(event, KeyEvent))
+        assert (first.key, first.phase) == ("7", "press")
+        with pytest.raises(BusTimeout):  # the finger rests
+            events.receive(0)
+        monkeypatch.setattr(stream, "SILENCE_NS", 0)
+        release, *lifted = (next(events) for _ in topics)
+        assert [event.type for event in lifted] == ["touch"] * (len(topics) - 1)
+        assert isinstance(release, KeyEvent)
+        assert (release.key, release.phase) == ("7", "release")
+        with pytest.raises(BusTimeout):
+            events.receive(0)
+
+
+def test_a_program_that_asks_for_keys_alone_gets_keys_alone(wire: Wire) -> None:
+    """The touches that tell it of the daemon's silence stay out."""
+    with Subscriber(wire.address, ("key",), timeout_s=60) as events:
+        wire.wait()
+        wire.wait()
+        for seq in range(1, 20, 2):
+            wire.send(stamped(seq, 0, "down"), pressed(down := stamped(seq, 0)), stamped(seq + 1, 0, "up"))
+            wire.send(pressed(down, "release"))
+        assert [next(events).type for _ in range(10)] == ["key"] * 10
+
+
 @pytest.mark.parametrize("max_age_s", [None, math.inf, 100.0])
 def test_a_bridge_gets_everything(wire: Wire, max_age_s: float | None) -> None:
     """Without a largest age every message comes, in order."""

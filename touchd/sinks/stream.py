@@ -23,6 +23,8 @@ _SHARED_NS = 1_000_000_000
 """The clocks of one computer agree this well about the time between its start and now."""
 _SLOWEST_NS = 2_000_000_000
 """Of a touch's messages that come more seldom it is not waited longer for the next."""
+_MOST_KEYS = 1000
+"""No keypad has as many."""
 _DRIFT = 2e-4
 """Two computers' clocks drift apart by less than this."""
 
@@ -102,7 +104,8 @@ class Stream:
         self._touched: TouchEvent | None = None  # the last touch, if a finger is down by it
         self._touched_ns = self._pace_ns = 0
         self._down = False  # whether a finger was, by the last touch, though it may have been lifted for silence
-        self._pressed: set[str] = set()
+        self._pressed: dict[str, KeyEvent] = {}
+        self._released: set[str] = set()  # by silence
         self._epoch_ns: int | None = None
         self._shared = False
         self._least_ns = 0.0
@@ -129,8 +132,8 @@ class Stream:
                     self._pace_ns = min(self._heard_ns - self._touched_ns, _SLOWEST_NS)
                 self._down = any(contact.phase != "up" for contact in event.contacts)
                 self._touched, self._touched_ns = event if self._down else None, self._heard_ns
-            elif isinstance(event, KeyEvent):
-                self._note(event)
+            elif isinstance(event, KeyEvent) and not self._note(event):
+                return None
             return event
         self._dropped[event.type] += 1
         if isinstance(event, TouchEvent) and self._touched is not None:
@@ -141,23 +144,36 @@ class Stream:
             return event
         return None
 
-    def lift_silent(self) -> TouchEvent | None:
-        """Return once that nothing is touched if a finger was down, and no touch came for `SILENCE_NS`.
+    def lift_silent(self) -> Event | None:
+        """Return a key's release, or that nothing is touched, once for each key and finger of a silent daemon.
 
-        Of a slow daemon or replay that is three times as long as between the last two. Of a stream in which nothing is
-        stale, nothing is lifted.
+        It is silent if no touch came for `SILENCE_NS`; of a slow daemon or replay, for three times as long as between
+        the last two. Of a stream in which nothing is stale, nothing is lifted.
         """
         touched, silent_ns = self._touched, max(SILENCE_NS, 3 * self._pace_ns)
-        if touched is None or self._clock() - self._touched_ns < silent_ns or self._max_age_ns == math.inf:
+        if not (touched or self._pressed) or self._clock() - self._touched_ns < silent_ns:
             return None
+        if self._max_age_ns == math.inf:
+            return None
+        if self._pressed:
+            name, press = self._pressed.popitem()
+            self._released.add(name)
+            return replace(press, phase="release")
         self._touched = None
-        return replace(touched, contacts=[])
+        return touched and replace(touched, contacts=[])
 
-    def _note(self, event: KeyEvent) -> None:
+    def _note(self, event: KeyEvent) -> bool:
+        """Follow which keys are pressed; return False for the release of a key that silence has released."""
         if event.phase == "release":
-            self._pressed.discard(event.key)
-        elif len(self._pressed) < 1000:
-            self._pressed.add(event.key)
+            self._pressed.pop(event.key, None)
+            if event.key in self._released:
+                self._released.discard(event.key)
+                return False
+        elif len(self._pressed) < _MOST_KEYS and len(self._released) < _MOST_KEYS:
+            self._released.discard(event.key)
+            self._pressed[event.key] = event
+            self._touched_ns = self._heard_ns
+        return True
 
     def _is_stale(self, event: Event, now_ns: int, *, follows: bool) -> bool:
         """Return whether an event is stale; `follows` says that it is the next one after the last of its topic."""

@@ -107,7 +107,7 @@ def test_silence(pace_s: float, silent_s: float) -> None:
     assert computers.stream.lift_silent() is None
     computers.now_s += 0.02
     lifted = computers.stream.lift_silent()
-    assert lifted is not None
+    assert isinstance(lifted, TouchEvent)
     assert lifted.contacts == []
     assert computers.stream.lift_silent() is None
 
@@ -127,3 +127,26 @@ def test_a_key_that_was_pressed() -> None:
     assert not hears("2", "press", 5)
     assert not hears("2", "release", 4.9)
     assert hears("3", "press", 0.1)
+
+
+def test_a_key_that_silence_has_released() -> None:
+    """What the daemon sends of it, if it only stood still, is no second release; another press counts again."""
+    computers = Computers()
+
+    def take(phase: str) -> str | None:
+        touch = computers.touch(0.0)
+        event = KeyEvent("plate", touch.seq, touch.t_ns, touch.wall, "1", phase, 1.0)  # type: ignore[arg-type]  # the callers give phases
+        found = computers.stream.take(event)
+        return found.phase if isinstance(found, KeyEvent) else None
+
+    assert take("press") == "press"
+    computers.now_s += 0.29
+    assert computers.stream.lift_silent() is None
+    computers.now_s += 0.02
+    released = computers.stream.lift_silent()
+    assert isinstance(released, KeyEvent)
+    assert (released.key, released.phase) == ("1", "release")
+    assert computers.stream.lift_silent() is None
+    assert take("release") is None
+    assert [take(phase) for phase in ("press", "release")] == ["press", "release"]
+    assert computers.stream.lift_silent() is None
