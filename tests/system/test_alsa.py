@@ -40,14 +40,15 @@ while len(blocks) < 100:
         blocks.append(block.copy())
 card.close()
 np.save(sys.argv[1], np.concatenate(blocks))
-for name in ("hw:CARD=Nowhere,DEV=0", "Nowhere", "hw:Nowhere", "hw:7,0"):
-    try:
-        AlsaCard(name, 48000, 4)
-    except CardAbsent as absent:
-        print(absent)
 import touchd.audio.alsa
 from pathlib import Path
-touchd.audio.alsa.CARDS = Path(sys.argv[1]).parent
+for cards in ("none", "cards"):
+    touchd.audio.alsa.CARDS = Path(sys.argv[1]).parent / cards
+    for name in ("hw:CARD=Nowhere,DEV=0", "Nowhere", "hw:Nowhere", "hw:7,0", "hw:99", "plughw:99,0"):
+        try:
+            AlsaCard(name, 48000, 4)
+        except CardAbsent as absent:
+            print(absent)
 try:
     AlsaCard("hw:CARD=Denied,DEV=0", 48000, 4)
 except CardAbsent as absent:
@@ -59,7 +60,8 @@ except CardAbsent as absent:
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what was captured and played, and with what was said of a card that is not there."""
     home = tmp_path_factory.mktemp("alsa")
-    (home / "Denied").mkdir()
+    (home / "cards" / "card0").mkdir(parents=True)
+    (home / "cards" / "Denied").symlink_to("card0")
     (home / "asound.conf").write_text(CONFIG.format(home=home))
     (np.arange(4 * 48_000).reshape(-1, 4) << 12).astype("<i4").tofile(home / "in.raw")
     done = subprocess.run(
@@ -89,8 +91,9 @@ def test_what_is_captured_is_the_upper_16_bits_in_order(home: Path) -> None:
 def test_a_card_that_is_not_there_is_told_in_one_line(home: Path) -> None:
     """ALSA's library would print lines of its own each time that the daemon looks."""
     lines = (home / "said").read_text().splitlines()[:-1]
-    names = ["hw:CARD=Nowhere,DEV=0", "Nowhere", "hw:Nowhere", "hw:7,0"]
-    assert lines == [f"there is no {name}: plug it in; arecord -L lists what is there" for name in names]
+    names = ["hw:CARD=Nowhere,DEV=0", "Nowhere", "hw:Nowhere", "hw:7,0", "hw:99", "plughw:99,0"]
+    there = "; no card is", ", or name a card that is there: hw:CARD=Denied"
+    assert lines == [f"there is no {name}: plug it in{those}" for those in there for name in names]
 
 
 def test_a_card_that_may_not_be_opened_is_not_called_absent(home: Path) -> None:

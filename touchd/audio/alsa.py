@@ -185,6 +185,17 @@ def _explain(text: str, name: str) -> str:
     hidden = "No such" in text and named and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()
     if hidden or "Permission denied" in text:
         return f"{name} is there, but may not be opened: join the group audio; a service needs audio.conf"
-    if "No such" in text:  # file, or device
-        return f"there is no {name}: plug it in; arecord -L lists what is there"
-    return text
+    # No such file, or device; a number that no card has, for ALSA knows 32, is an invalid argument.
+    if "No such" in text or ("Invalid argument" in text and re.match(r"(plug)?hw:", name)):
+        there = ", ".join(f"hw:CARD={card}" for card in _cards())
+        return f"there is no {name}: plug it in" + (
+            f", or name a card that is there: {there}" if there else "; no card is"
+        )
+    return text if name in text else f"{text} ({name})"
+
+
+def _cards() -> list[str]:
+    """Return the names of all cards, also of those that this user may not open; none without ALSA in the kernel."""
+    with contextlib.suppress(OSError):
+        return sorted(entry.name for entry in CARDS.iterdir() if entry.is_symlink())
+    return []

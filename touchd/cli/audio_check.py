@@ -80,7 +80,8 @@ def command(
                 progress=lambda what: click.echo(f"{what} ...", err=True),
             )  # fmt: skip
     except (CardAbsent, CardGone, Doubtful) as why:
-        raise DeviceLost(str(why), "audio", "mend this, and repeat the command") from why
+        what, _, fix = str(why).partition(": ")
+        raise DeviceLost(what, "audio", fix or "plug it in again, and repeat the command") from why
     plan = expect(found, said, audio) if said else None
     if output is not None:
         from touchd.evaluation.plots.session import save

@@ -107,7 +107,7 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
         yield from _examine_frames(settings, choice, seconds, reference, parts.model, running)
     except TouchdError as error:
         yield failure("frames", error)
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         yield failure("frames", missing_extra(error))
 
 

@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 import traceback
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -176,13 +177,12 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     except TouchdError as error:
         return _explain(error, debug)
-    except ModuleNotFoundError as error:
-        try:
-            return _explain(missing_extra(error), debug)
-        except ModuleNotFoundError:
-            return _explain(error, debug)
     except Exception as error:
-        return 130 if _interrupted(error) else _explain(error, debug)
+        if _interrupted(error):
+            return 130
+        with suppress(ImportError):  # of no extra
+            error = missing_extra(error) if isinstance(error, ImportError) else error
+        return _explain(error, debug)
 
 
 def _interrupted(error: BaseException | None) -> bool:
@@ -192,11 +192,14 @@ def _interrupted(error: BaseException | None) -> bool:
     )
 
 
-def missing_extra(error: ModuleNotFoundError) -> MissingExtra:
-    """Return what to do about a package that is missing; raise the error if it belongs to no extra."""
+def missing_extra(error: ImportError) -> MissingExtra:
+    """Return what to do about a package that is missing or does not load; raise the error if it is of no extra."""
     extra = EXTRAS.get((error.name or "").partition(".")[0])
     if extra is None:
         raise error
+    if not isinstance(error, ModuleNotFoundError):  # a library of the system's is missing
+        what = f"{error.name}, of the extra {extra}, does not load ({error})"
+        return MissingExtra(what, fix="install the system's library that it names")
     # Only from a clone: the name on the public index is not this project's. Debian's own Python refuses packages.
     fix = f"in a clone of touchd: {sys.executable} -m pip install '.[{extra}]'"
     if sys.prefix == sys.base_prefix:

@@ -194,6 +194,7 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         lambda w: ("audio-check", "-o", w.folder / "nowhere" / "card.png"),
         ("nowhere",),
     ),
+    "a card that is not there": (errors.DeviceLost, lambda _: ("audio-check", "hw:99"), ("no hw:99", "plug it in")),
     "no card to check": (errors.ConfigError, lambda _: ("audio-check",), ("audio.device", "arecord -L")),
     "a missing model": (errors.ModelMissing, bound("--model", "nowhere.onnx"), ("nowhere.onnx",)),
     "no model": (
@@ -521,3 +522,18 @@ def test_missing_extra(prefix: str, fix: str, monkeypatch: pytest.MonkeyPatch) -
     assert "touchd[" not in str(error), "a package of that name on the index is not this one"
     with pytest.raises(ModuleNotFoundError):
         missing_extra(ModuleNotFoundError(name="unknown"))
+
+
+def test_a_library_of_the_system_that_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A package that is there but does not load, as ALSA's without ALSA, is no internal error."""
+    why = "libasound.so.2: cannot open shared object file"
+
+    def imported(**_options: Any) -> None:
+        raise ImportError(why, name="alsaaudio", path="alsaaudio.so")
+
+    monkeypatch.setattr(cli.touchd, "invoke", lambda _context: imported())
+    assert main([]) == errors.MissingExtra.exit_code
+    said = capsys.readouterr().err
+    assert f"({why}) -> install" in said
