@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
@@ -71,9 +73,13 @@ class Chirp(Description):
         """
         omega = np.asarray(omega_rad_s, dtype=np.complex128)
         played = self.waveform()
-        step = 1 / self.dac_rate_hz
-        hold = (1 - np.exp(-1j * omega * step)) / (1j * omega)
-        return np.asarray(hold * (np.exp(-1j * np.outer(omega, step * np.arange(len(played)))) @ played))
+        step = -1j * omega[:, None] / self.dac_rate_hz
+        hold = (1 - np.exp(step[:, 0])) / (1j * omega)
+        # In rows of sqrt(T) samples: F sqrt(T) exponentials instead of F T.
+        row = math.isqrt(len(played)) + 1
+        rows = np.pad(played, (0, -len(played) % row)).reshape(-1, row)
+        sums = np.exp(step * np.arange(row)) @ rows.T
+        return np.asarray(hold * (sums * np.exp(step * (row * np.arange(len(rows))))).sum(axis=1))
 
 
 class Plate(Description):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from tests.command_line import touchd
 from touchd.calibration.plan import AREA_MM2, FINGER, MIRRORED_MM, PlateMap, is_mirrored
 from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.evaluation.cramer_rao import position_covariance, rms_mm, twin_field
-from touchd.frame import ACQUISITIONS, Acquisition
+from touchd.frame import ACQUISITIONS, Acquisition, parse_acquisition
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
@@ -49,6 +51,25 @@ def test_bound(said: PlateFile, plate_map: PlateMap) -> None:
     noise = Electronics().peak * 2**15 * np.sqrt(1.5e-6 * np.square(untouched).mean())
     true = rms_mm(position_covariance(field, SMALL, float(noise)))
     assert np.median(found) == pytest.approx(np.median(true), rel=0.15)
+
+
+def test_long_periods(said: PlateFile) -> None:
+    """A period of 0.1 s is computed as ten of 0.01 s, with next to the same bound: it would take minutes and 20 GB."""
+    discs = said.layout().centres_mm
+    long, whole = (PlateMap(said, long_period(0.02), longest_s=longest_s).plan(discs) for longest_s in (0.01, 1.0))
+    assert long.quantiles_mm == pytest.approx(whole.quantiles_mm, rel=0.05)
+    tracemalloc.start()
+    longest = PlateMap(said, long_period(0.1)).plan(discs)
+    assert tracemalloc.get_traced_memory()[1] < 1e9
+    tracemalloc.stop()
+    assert longest.quantiles_mm[0] == pytest.approx(long.quantiles_mm[0] / math.sqrt(5), rel=0.01)
+
+
+def long_period(period_s: float) -> Acquisition:
+    """Return what an audio interface takes in one period of this length."""
+    return parse_acquisition(f"96000:{round(96e3 * period_s)}:15000-44000:{period_s}:{period_s}").model_copy(
+        update={"channels": 3}
+    )
 
 
 def test_discs_on_a_line(plate_map: PlateMap) -> None:
