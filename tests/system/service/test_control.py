@@ -7,7 +7,7 @@ from pathlib import Path
 from tests.processes import PATIENCE_S, end, started, touchd, until
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
-from touchd.errors import BusError
+from touchd.errors import AddressInUse, BusError
 from touchd.event import Event, HealthEvent, TouchEvent
 
 
@@ -50,6 +50,32 @@ def test_while_the_screen_is_off_a_running_daemon_finds_no_touches(tmp_path: Pat
     assert ended.code == 0
     assert [said for said in ("off", "on") if f'"state": "{said}"' in ended.err] == ["off", "on"]
     assert not path.exists()
+
+
+def test_a_second_daemon(tmp_path: Path) -> None:
+    """It says which address is taken and ends; the first keeps both, and what it leaves when killed stops no next."""
+    bus, control = tmp_path / "bus", tmp_path / "control"
+    options, socket = ("--replay", SESSION, "--speed", "max"), str(control)
+
+    def inodes() -> list[int]:
+        return [path.stat().st_ino for path in (bus, control)]
+
+    with started(*options, "--loop", "--bind", f"ipc://{bus}", TOUCHD_CONTROL__SOCKET=socket) as daemon:
+        with Subscriber(f"ipc://{bus}", ("touch",), timeout_s=PATIENCE_S, max_age_s=None) as events:
+            until(events, is_down)
+            before = inodes()
+            for address, taken in ((f"ipc://{bus}", str(bus)), (f"ipc://{tmp_path}/other", str(control))):
+                second = touchd(*options, "--bind", address, TOUCHD_CONTROL__SOCKET=socket)
+                assert second.code == AddressInUse.exit_code
+                (line,) = [line for line in second.err.splitlines() if line.startswith("touchd: ")]
+                assert taken in line
+                assert "-> stop it (is the daemon running already?), or set another" in line
+            assert inodes() == before
+            until(events, is_down)
+        daemon.kill()
+        end(daemon)
+    assert inodes() == before, "left behind"
+    assert touchd(*options, "--bind", f"ipc://{bus}", TOUCHD_CONTROL__SOCKET=socket).code == 0
 
 
 def test_without_a_daemon_the_verb_says_so(tmp_path: Path) -> None:
