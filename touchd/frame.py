@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from msgspec import Struct
@@ -96,6 +97,20 @@ class Plate(Description):
     def size_mm(self) -> tuple[float, float]:
         """Width and height."""
         return self.width_mm, self.height_mm
+
+
+LEAST_SIDE_MM, LEAST_THICKNESS_MM, MOST_THICKNESS = 10.0, 0.1, 0.25
+"""Shorter sides and thinner plates are in metres or centimetres. A thickness beyond that share of the shorter side is
+no plate's, too."""
+
+
+def impossible_lengths(width_mm: float, height_mm: float, thickness_mm: float) -> Iterator[tuple[str, str]]:
+    """Yield the key of each length that no plate has in millimetres, and what is wrong with it."""
+    for key, length_mm in (("width_mm", width_mm), ("height_mm", height_mm)):
+        if length_mm < LEAST_SIDE_MM:
+            yield key, f"{length_mm:g} mm is no plate: metres?"
+    if not LEAST_THICKNESS_MM <= thickness_mm <= MOST_THICKNESS * min(width_mm, height_mm):
+        yield "thickness_mm", f"{thickness_mm:g} mm is no thickness of a {width_mm:g} x {height_mm:g} mm plate"
 
 
 def parse_plate(text: str) -> Plate:

@@ -10,17 +10,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import PlateFileInvalid
 from touchd.files import read_toml
-from touchd.frame import Plate
+from touchd.frame import LEAST_THICKNESS_MM, Plate, impossible_lengths
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.transducer import Layout
 
 Edge = Literal["free", "pads", "tape", "clamped"]
 Millimetres = Annotated[float, Field(gt=0, le=1e5, strict=True)]
-
-LEAST_SIDE_MM = 10.0
-"""A shorter side is a length in metres or centimetres."""
-LEAST_THICKNESS_MM = 0.1
-"""The same for a thickness."""
 
 
 class _Table(BaseModel):
@@ -187,12 +182,8 @@ def _check_lengths(said: PlateFile) -> Iterator[Mistake]:
     """Refuse lengths that can only be metres or centimetres."""
     plate, discs = said.plate, said.discs
     fix = "write every length in millimetres"
-    for key, length_mm in (("width_mm", plate.width_mm), ("height_mm", plate.height_mm)):
-        if length_mm < LEAST_SIDE_MM:
-            yield f"{length_mm:g} mm is no plate: metres?", f"plate.{key}", fix
-    if plate.thickness_mm < LEAST_THICKNESS_MM or plate.thickness_mm > min(plate.width_mm, plate.height_mm) / 4:
-        what = f"{plate.thickness_mm:g} mm is no thickness of a {plate.width_mm:g} x {plate.height_mm:g} mm plate"
-        yield what, "plate.thickness_mm", fix
+    for key, what in impossible_lengths(plate.width_mm, plate.height_mm, plate.thickness_mm):
+        yield what, f"plate.{key}", fix
     if discs.diameter_mm < LEAST_THICKNESS_MM:
         yield f"{discs.diameter_mm:g} mm is no disc: metres?", "discs.diameter_mm", fix
     for key, place in _places(discs):

@@ -60,6 +60,7 @@ def command(
     from touchd.calibration.plate_file import read_plate_file
     from touchd.config.load import load
     from touchd.sources.audio import acquisition_of, rate_of
+    from touchd.twin.physics.plate import polynomials_for
 
     if output is not None:
         check_picture(output)
@@ -69,6 +70,7 @@ def command(
     if said is not None:  # refused before a minute of measuring
         acquisition = acquisition_of(audio)
         periods_of(acquisition, rate_of(acquisition, settings.device))
+        polynomials_for(said.twin_plate(), audio.band_hz[1])
     name = device or audio.device
     if not name:
         raise ConfigError("is not set", "audio.device", "name a card: hw:CARD=NAME; arecord -L lists them")

@@ -14,6 +14,7 @@ from touchd.errors import OutputError
 from touchd.files import writing
 
 if TYPE_CHECKING:
+    from touchd.frame import Plate
     from touchd.localization.model import Description
     from touchd.recording.data import Meta
     from touchd.sources.open import SourceChoice
@@ -48,6 +49,15 @@ bus_option = click.option(
     "--bus", "address", metavar="ADDRESS",
     help="Where the daemon publishes.  [default: the installed service, or else a touchd on this computer]",
 )  # fmt: skip
+
+
+def check_plate(plate: Plate) -> Plate:
+    """Raise BadParameter if a length is no plate's."""
+    from touchd.frame import impossible_lengths
+
+    for _key, what in impossible_lengths(*plate.size_mm, plate.thickness_mm):
+        raise click.BadParameter(f"{what}; write every length in millimetres")
+    return plate
 
 
 def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:

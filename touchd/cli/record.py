@@ -15,7 +15,7 @@ from typing import Any
 import click
 
 from touchd.calibration.walk import Walk, plan
-from touchd.cli.options import PATH, NumberRange, chosen, config_option, source_options
+from touchd.cli.options import PATH, NumberRange, check_plate, chosen, config_option, source_options
 from touchd.cli.output import say
 from touchd.config.load import load
 from touchd.errors import ConfigError, OutputError, SourceError
@@ -42,9 +42,10 @@ BY_HAND = (
 def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Plate | None:
     """Parse `400x300` or `400x300x5` into a plate."""
     try:
-        return None if value is None else parse_plate(value)
+        plate = None if value is None else parse_plate(value)
     except ValueError:
         raise click.BadParameter("write WIDTHxHEIGHT or WIDTHxHEIGHTxTHICKNESS in mm, for example 400x300x5") from None
+    return plate and check_plate(plate)
 
 
 def _notes(_ctx: click.Context, _param: click.Parameter, value: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from touchd.cli.options import PATH, Number, NumberRange, check_output
+from touchd.cli.options import PATH, Number, NumberRange, check_output, check_plate
 from touchd.config.schema import LogSettings
 from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate
 from touchd.keypad import load_layout
@@ -34,9 +34,10 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str) -> Plate:
     try:
         if value.lower().count("x") != 2:
             raise ValueError
-        return parse_plate(value)
+        plate = parse_plate(value)
     except ValueError:
         raise click.BadParameter("three lengths in mm such as 200x200x5") from None
+    return check_plate(plate)
 
 
 def _acquisition(_ctx: click.Context, _param: click.Parameter, value: str) -> Acquisition:

@@ -16,7 +16,7 @@ from touchd.audio.check import Checked, check
 from touchd.audio.delay import Doubtful
 from touchd.cli.audio_check import result, text
 from touchd.config.rigs import AudioSettings
-from touchd.errors import ConfigError
+from touchd.errors import ConfigError, SimulationError
 
 
 def checked(card: CableCard, restarts: int = 1, seconds: float = 0.05) -> Checked:
@@ -115,6 +115,15 @@ def test_a_chirp_that_no_frame_can_have(tmp_path: Path, monkeypatch: pytest.Monk
     )  # fmt: skip
     assert done.code == ConfigError.exit_code
     assert "set audio.chirp_s = 0.00396825" in done.err
+
+
+def test_a_plate_that_is_too_thin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is refused before a minute of measuring, too."""
+    (tmp_path / "PLATE.toml").write_text(SMALL_PLATE.replace("= 110", "= 1100").replace("= 5", "= 1"))
+    monkeypatch.setattr("touchd.audio.alsa.AlsaCard", Mock(side_effect=AssertionError("it was opened")))
+    done = touchd("audio-check", "hw:CARD=Fake", "--plate", tmp_path / "PLATE.toml")
+    assert done.code == SimulationError.exit_code
+    assert "make it smaller or thicker" in done.err
 
 
 def test_the_band_ends_where_less_passes() -> None:

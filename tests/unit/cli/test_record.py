@@ -256,6 +256,13 @@ def test_plate_of_no_size(tmp_path: Path, plate: str) -> None:
     assert "400x300x5" in result.output
 
 
+def test_plate_of_no_thickness(tmp_path: Path) -> None:
+    """A plate of 0.001 mm is refused before anything is recorded."""
+    result = record("--plate", "400x300x0.001", "-o", tmp_path / "a.npz")
+    assert result.exit_code == 2
+    assert "0.001 mm is no thickness of a 400 x 300 mm plate" in result.output
+
+
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [

@@ -89,6 +89,14 @@ def test_wrong_options(tmp_path: Path) -> None:
     assert not path.exists()
 
 
+@pytest.mark.parametrize("plate", ["200x200x0.001", "200x200x10000", "200x200x51", "9x200x1", "0.2x0.2x0.005"])
+def test_no_plate(tmp_path: Path, plate: str) -> None:
+    """Lengths that no plate has in millimetres are refused with what is wrong."""
+    result = call("tap", "-o", tmp_path / "x.npz", "--plate", plate)
+    assert result.exit_code == 2
+    assert "mm" in result.output
+
+
 def test_keypad(tmp_path: Path) -> None:
     """A keypad file places the keys."""
     layout = tmp_path / "keys.toml"

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from touchd.errors import TrainingError
+from touchd.frame import impossible_lengths
 from touchd.recording.data import Act, Recording
 from touchd.recording.format import join as join_chunks
 
@@ -19,12 +20,19 @@ def join(recordings: Sequence[Recording], names: Sequence[str]) -> Recording:
     """Concatenate recordings, an hour apart; `names` identify them in an error.
 
     Of the true contacts their places alone are kept. Raises TrainingError if acquisitions, plates or transducers
-    differ, or a recording has no labels.
+    differ, a plate has an impossible length, or a recording has no labels.
     """
     first = recordings[0]
     for recording, name in zip(recordings, names, strict=True):
         if recording.contacts_mm is None:
             raise TrainingError("the recording has no `contacts_mm`", name, "record with the touches' true positions")
+        plate = recording.meta.plate
+        for key, what in impossible_lengths(*plate.size_mm, plate.thickness_mm):
+            raise TrainingError(
+                what,
+                f"{name}: meta.plate.{key}",
+                "write the plate's own there, in mm; docs/formats.md shows how",
+            )
         settings = _settings(recording)
         for what, value in _settings(first).items():
             if value != settings[what]:

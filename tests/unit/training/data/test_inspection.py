@@ -181,6 +181,17 @@ def test_joined_recordings_hold_the_touches_of_all_each_with_its_own_untouched_p
     np.testing.assert_array_equal(both.residual, np.concatenate([part.residual for part in apart]))
 
 
+@pytest.mark.parametrize("thickness_mm", [0.001, 0.05, 60.0, 1e4])
+def test_a_plate_of_an_impossible_thickness(thickness_mm: float, touches: Recording) -> None:
+    """It is refused with the key, not after minutes that make a model of nothing."""
+    plate = touches.meta.plate.model_copy(update={"thickness_mm": thickness_mm})
+    wrong = replace(touches, meta=touches.meta.model_copy(update={"plate": plate}))
+    with pytest.raises(
+        TrainingError, match=rf"^a\.npz: meta\.plate\.thickness_mm: {thickness_mm:g} mm is no thickness"
+    ):
+        join([wrong], ["a.npz"])
+
+
 def test_acts_of_joined_recordings_keep_their_frames(touches: Recording) -> None:
     """The acts of the second recording lie behind the frames of the first."""
     acts = (Act(name="palm", begin=5, end=9),)
