@@ -14,6 +14,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -82,11 +83,12 @@ def load(path: Path, keys: Iterable[str], max_bytes: int | None = None) -> dict[
         try:
             archive = zipfile.ZipFile(file)
         except _DAMAGE as error:
-            file.seek(0)
-            if file.read(2) not in (b"", b"PK"):  # no part of an archive, but a text or a picture
-                raise RecordingTruncated(
-                    "is no .npz archive", str(path), "name a recording: a .npz file, or its folder"
-                ) from error
+            with suppress(OSError):  # of a disk that fails
+                file.seek(0)
+                if file.read(2) not in (b"", b"PK"):  # no part of an archive, but a text or a picture
+                    raise RecordingTruncated(
+                        "is no .npz archive", str(path), "name a recording: a .npz file, or its folder"
+                    ) from error
             _truncated(path, "is not a whole .npz archive", error)
         with archive:
             names = set(archive.namelist())

@@ -276,6 +276,11 @@ class TestRead:
         with pytest.raises(RecordingTruncated):
             read(tmp_path / "a.npz")
 
+    def test_a_disk_that_fails(self) -> None:
+        """A file that no byte can be read of, as this one, is explained like a damaged one."""
+        with pytest.raises(RecordingTruncated, match="copy it again"):
+            read(Path("/proc/self/mem"))
+
     def test_a_tiny_file_that_claims_a_huge_array_costs_no_memory(self, tmp_path: Path) -> None:
         header = b"{'descr': '<i2', 'fortran_order': False, 'shape': (1000000000000, 4, 250), }\n"
         save(tmp_path / "a.npz", **{k: v for k, v in content(make()).items() if k != "frames"})

@@ -58,10 +58,11 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
         title=f"{plate.material} plate, {plate.width_mm:g} x {plate.height_mm:g} x {plate.thickness_mm:g} mm",
     )  # fmt: skip
     draw_transducers(recording.meta, plate_axes)
-    # Place the legend below the plate, where it covers no touch.
-    plate_axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4, fontsize=8, frameon=False)
+    if plate_axes.get_legend_handles_labels()[0]:
+        # Below the plate, where it covers no touch.
+        plate_axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4, fontsize=8, frameon=False)
     x_axes.set(ylabel="x (mm)", ylim=(0, plate.width_mm), title="contacts over time")
-    y_axes.set(ylabel="y (mm)", ylim=(plate.height_mm, 0), xlabel="time (s)", xlim=(0, max(seconds.values())))
+    y_axes.set(ylabel="y (mm)", ylim=(plate.height_mm, 0), xlabel="time (s)", xlim=(0, max(seconds.values()) or 1.0))
     for axes in (plate_axes, x_axes, y_axes):
         axes.grid(alpha=0.25)
     save(figure, path)

@@ -109,3 +109,7 @@ def test_contacts_are_named_while_their_colours_differ(
     assert legend is not None
     names = {text.get_text() for text in legend.get_texts()} - {"truth"}
     assert names == ({f"contact {i + 1}" for i in range(count)} if count <= len(COLOURS) else {f"{count} contacts"})
+
+
+def test_a_recording_of_one_frame_is_drawn_without_a_warning(tmp_path: Path) -> None:
+    draw_session(truth([], frames=1), [], tmp_path / "session.png")
