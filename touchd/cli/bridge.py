@@ -20,7 +20,7 @@ def serve(address: str | None, settings: InputSettings, output: Output, what: st
     """Run a bridge until SIGTERM, SIGINT or SIGHUP, and report to the service manager meanwhile."""
     if settings.hold_off:
         output = HoldOff(output)
-    with stopping(hangup=True) as stop, closing(Notifier.from_environment()) as notifier:
+    with stopping() as stop, closing(Notifier.from_environment()) as notifier:
 
         def goes_on(now_ns: int) -> bool:
             notifier.ready()  # once it has subscribed

@@ -100,7 +100,7 @@ def command(
     source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
         # To the end: a terminal that goes sends SIGHUP more than once.
-        stop = stack.enter_context(stopping(hangup=True))
+        stop = stack.enter_context(stopping())
         stack.callback(source.close)
         meta = _meta(source, plate, rate_of(source, settings.device), choice.kind, notes)
         if label:
@@ -186,7 +186,7 @@ def walk_through(source: Source, output: Path, meta: Meta) -> None:
         lines = Lines(None)  # no terminal, nor a file in its place
     say(f"recording to {output}: it can reveal a PIN, so type none; only you can read it")
     say("Enter leaves a touch out, r and Enter repeats the one before, Ctrl-C ends and saves")
-    with stopping(hangup=True) as stop:
+    with stopping() as stop:
         try:
             asked = None
             for frame in until(stop, source):

@@ -17,6 +17,12 @@ if TYPE_CHECKING:  # `hold` comes before all that takes its time to import
 _HELD = (signal.SIGHUP, signal.SIGUSR1)
 
 
+def stops() -> list[signal.Signals]:
+    """Return what stops a program in order; SIGHUP, of a terminal that closes, unless it is ignored, as under nohup."""
+    hangup = [] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [signal.SIGHUP]
+    return [signal.SIGINT, signal.SIGTERM, *hangup]
+
+
 def hold() -> set[int]:
     """Let SIGHUP and SIGUSR1 wait until `deliver`: a daemon that starts would end of them. Return the mask before.
 
@@ -41,49 +47,49 @@ def deliver() -> None:
 
 
 @contextmanager
-def stopping(*, hangup: bool = False) -> Iterator[threading.Event]:
-    """Yield an event that SIGINT and SIGTERM set, instead of what else they do.
-
-    With `hangup` SIGHUP sets it too, unless it is ignored, as under nohup.
-    """
+def stopping() -> Iterator[threading.Event]:
+    """Yield an event that SIGINT, SIGTERM and SIGHUP set, instead of what else they do; see `stops`."""
     stop = threading.Event()
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if hangup and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        numbers.append(signal.SIGHUP)
 
     def handle(_number: int, _frame: FrameType | None) -> None:
         stop.set()
 
     with ExitStack() as stack:
-        for number in numbers:
+        for number in stops():
             stack.callback(signal.signal, number, signal.signal(number, handle))
         yield stop
 
 
 class Terminated(BaseException):
-    """SIGTERM has come to a verb without a handler of its own."""
+    """SIGTERM or SIGHUP has come to a verb without a handler of its own."""
 
 
 @contextmanager
 def unwound() -> Iterator[None]:
-    """Let SIGTERM unwind what runs within this context, so that no half of a file stays, and then end the process."""
+    """Let SIGTERM and SIGHUP unwind what runs within this context, so that no half of a file stays, and then end it."""
+    came: list[int] = []
 
-    def handle(_number: int, _frame: FrameType | None) -> None:
+    def handle(number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a terminal that goes sends it more than once
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a second one ends the process at once
+        came.append(number)
         raise Terminated
 
     in_main_thread = threading.current_thread() is threading.main_thread()  # others may set no handler
-    if not in_main_thread or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        yield
-        return
-    signal.signal(signal.SIGTERM, handle)
+    handled = [number for number in (signal.SIGTERM, signal.SIGHUP)
+               if in_main_thread and signal.getsignal(number) is signal.SIG_DFL]  # fmt: skip
+    for number in handled:
+        signal.signal(number, handle)
     try:
         yield
-    except Terminated:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        signal.raise_signal(signal.SIGTERM)
+    except BaseException:  # a library in C that is being imported makes an ImportError of it
+        if not came:
+            raise
+        signal.signal(came[0], signal.SIG_DFL)
+        signal.raise_signal(came[0])
     finally:
-        if signal.getsignal(signal.SIGTERM) is handle:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        for number in handled:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def stop_on_signals(service: Service) -> None:

@@ -160,7 +160,7 @@ def _without_traceback(record: logging.LogRecord) -> bool:
 
 
 def serve(site: Site, listening: socket.socket, ready: Callable[[], object], manager: Notifier, *, debug: bool) -> None:
-    """Serve until SIGTERM or SIGINT; `ready` is called once browsers are answered; `debug` logs tracebacks."""
+    """Serve until SIGTERM, SIGINT or SIGHUP; `ready` is called once browsers are answered; `debug` logs tracebacks."""
     config = uvicorn.Config(
         make_app(site), ws="websockets-sansio", http="h11", loop="asyncio", lifespan="on", log_config=None,
         access_log=False, server_header=False, proxy_headers=False, ws_max_size=4096, ws_max_queue=4,

@@ -1,4 +1,4 @@
-"""SIGTERM unwinds a verb: no half of a file stays. A terminal that closes ends a daemon in order."""
+"""SIGTERM and SIGHUP unwind a verb: no half of a file stays. A terminal that closes ends a daemon in order."""
 
 from __future__ import annotations
 
@@ -16,21 +16,32 @@ from touchd.service.signals import reload_on_hangup
 VERB = """
 import signal, sys, tempfile
 from touchd.service.signals import unwound
-with unwound(), tempfile.TemporaryDirectory(dir=sys.argv[1]):
-    print("ready", flush=True)
-    signal.pause()
+try:
+    with unwound(), tempfile.TemporaryDirectory(dir=sys.argv[1]):
+        print("ready", flush=True)
+        try:
+            signal.pause()
+        except BaseException as error:
+            if sys.argv[2] == "imports":
+                raise ImportError("initialization failed") from error
+            raise
+except Exception:
+    sys.exit(1)
 """
 
 
-def test_nothing_stays(tmp_path: Path) -> None:
+@pytest.mark.parametrize("imports", ["", "imports"], ids=["at work", "in an import"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_nothing_stays(tmp_path: Path, number: signal.Signals, imports: str) -> None:
     """The folder of a file in the making goes, and the process ends by the signal, as its parent expects."""
     with subprocess.Popen(
-        [sys.executable, "-c", VERB, tmp_path], stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment()
+        [sys.executable, "-c", VERB, tmp_path, imports], stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment()
     ) as verb:
         assert verb.stdout is not None
         assert verb.stdout.readline() == "ready\n"
-        verb.terminate()
-        assert verb.wait(PATIENCE_S) == -signal.SIGTERM
+        for _ in range(2 if number == signal.SIGHUP else 1):  # a terminal that goes sends it again
+            verb.send_signal(number)
+        assert verb.wait(PATIENCE_S) == -number
     assert list(tmp_path.iterdir()) == []
 
 

@@ -11,7 +11,6 @@ import contextlib
 import errno
 import json
 import os
-import signal
 import socket
 import threading
 from collections.abc import Callable
@@ -26,6 +25,7 @@ from touchd.calibration.wizard.models import Trial, fit, train
 from touchd.calibration.wizard.state import State, collect, compare, tell, undo
 from touchd.errors import AddressInUse, BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.files import clear_socket, private_socket
+from touchd.service.signals import stops
 from touchd.service.systemd import Notifier
 
 PICTURES = ("response.png", "residual.png", "expected-error.png")
@@ -240,7 +240,7 @@ def _told(error: Exception, what: str) -> dict[str, str]:
 
 
 async def serve(worker: Worker, state: State, path: Path, manager: Notifier, ready: Callable[[], object]) -> None:
-    """Listen at `path` until SIGTERM or SIGINT.
+    """Listen at `path` until SIGTERM, SIGINT or SIGHUP.
 
     Raises AddressInUse if another wizard listens there; OutputError if no socket can be made there.
     """
@@ -272,7 +272,7 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
             what = "there is something else than a socket"
         raise OutputError(what, str(path), fix) from error
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in stops():
         loop.add_signal_handler(number, ended.set)
     try:
         worker.resume()
