@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 
+from touchd.cli.options import PATH
 from touchd.sinks.curve import make_files
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("folder", metavar="DIR", type=PATH)
 @click.option("--name", default="touchd", show_default=True, help="Name of the key files.")
 def command(folder: Path, name: str) -> None:
     """Make a CURVE key pair in DIR.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.options import NumberRange
+from touchd.cli.options import PATH, NumberRange
 from touchd.client import Subscriber
 from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent, TruthEvent, encode
 
@@ -30,10 +30,8 @@ from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEve
     help="Fail if no message arrives for S seconds.",
 )  # fmt: skip
 @click.option("--until-stopped", is_flag=True, help="Exit when the daemon reports that it stops.")
-@click.option(
-    "--server-key", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="The daemon's public key."
-)
-@click.option("--client-key", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Your secret key.")
+@click.option("--server-key", type=PATH, metavar="FILE", help="The daemon's public key.")
+@click.option("--client-key", type=PATH, metavar="FILE", help="Your secret key.")
 def command(
     address: str | None,
     topics: tuple[str, ...],

@@ -41,7 +41,7 @@ p {{ position: fixed; left: 20%; top: 25%; width: 60%; text-align: center }}
 @click.command()
 @click.option("--touches", type=click.IntRange(LEAST_TOUCHES, len(CROSSES)), default=LEAST_TOUCHES, show_default=True,
               metavar="N", help="How many crosses to touch.")  # fmt: skip
-@click.option("--page", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
+@click.option("--page", type=PATH, metavar="FILE",
               help="Write a page with the crosses, for a browser on that screen, and end.")  # fmt: skip
 @click.option("--from", "given", type=PATH, metavar="FILE",
               help="Take no touches: fit those that touchd wizard has left in FILE.")  # fmt: skip

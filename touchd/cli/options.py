@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from touchd.recording.data import Meta
     from touchd.sources.open import SourceChoice
 
-PATH = click.Path(path_type=Path)
+PATH = click.Path(path_type=Path, readable=False)
+"""Whoever opens the file says why it cannot be read, and what to do."""
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 

@@ -42,13 +42,13 @@ def make_files(folder: Path, name: str) -> tuple[Path, Path]:
     if not _NAME.fullmatch(name):
         raise ConfigError("not a name for a key", repr(name), "use letters, digits, dot, dash and underscore")
     public_path, secret_path = folder / f"{name}.key", folder / f"{name}.key_secret"
-    for path in (public_path, secret_path):
-        if path.exists():
-            raise OutputError(
-                "the key exists already and is never overwritten", str(path), "take another --name, or move it away"
-            )
     made: list[Path] = []
     try:
+        for path in (public_path, secret_path):
+            if path.exists():
+                raise OutputError(
+                    "the key exists already and is never overwritten", str(path), "take another --name, or move it away"
+                )
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         # zmq.auth writes with the process's umask, over any file of the name: let it do so in a private folder.
         with tempfile.TemporaryDirectory(prefix=".touchd-", dir=folder) as private:

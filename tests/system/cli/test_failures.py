@@ -455,6 +455,20 @@ def test_interrupted_import(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     assert capsys.readouterr().err == ""
 
 
+def test_a_file_that_may_not_be_read(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No option refuses it before the verb, which says what to do and has a status for it."""
+    config = world.file("touchd.toml", "[health]\nperiod_s = 2")
+    monkeypatch.setattr(os, "access", lambda *_arguments, **_options: False)
+    assert touchd("config", "--config", config).code == 0
+    for verb in ("", *VERBS):
+        command = cli.touchd.get_command(click.Context(cli.touchd), verb) if verb else cli.touchd
+        assert command is not None
+        for option in command.params:
+            assert not isinstance(option.type, click.Path) or option.type.exists or not option.type.readable, (
+                option.name
+            )
+
+
 def test_wrong_use() -> None:
     """Wrong use has status 2 and shows the right one."""
     ended = touchd("--sped", "max")

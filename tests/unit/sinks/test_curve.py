@@ -140,6 +140,17 @@ def test_keygen_says_why_it_cannot_write(tmp_path: Path) -> None:
         curve.make_files(tmp_path / "file/folder", "kiosk")
 
 
+def test_keygen_in_a_folder_that_is_not_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may not even be looked into."""
+
+    def refuse(*_arguments: object, **_options: object) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied", "keys")
+
+    monkeypatch.setattr(Path, "exists", refuse)
+    with pytest.raises(OutputError, match=r"cannot be written \(Permission denied\)"):
+        curve.make_files(tmp_path, "kiosk")
+
+
 @pytest.mark.parametrize("call", ["fsync", "link"])
 def test_keygen_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
     """When the disk is full at any moment no half of a pair stays, and the next attempt works."""
