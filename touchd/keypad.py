@@ -13,6 +13,8 @@ from touchd.frame import Plate
 
 PHONE = Path(__file__).resolve().parent / "keypads" / "phone.toml"
 """The layout that ships with touchd: 1-9 * 0 # in the middle of a plate of 200 x 200 mm."""
+MOST_KEYS = 1000
+"""Each is compared with each: of ten thousand a daemon starts after half a minute."""
 _ROUNDING_MM = 1e-6
 """Edges that are the same to a person may differ by this much in floating point."""
 
@@ -61,7 +63,7 @@ class Layout(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    key: tuple[Key, ...] = Field(min_length=1)
+    key: tuple[Key, ...] = Field(min_length=1, max_length=MOST_KEYS)
 
     def at(self, x_mm: float, y_mm: float) -> str | None:
         """Return the name of the key under a point, or None beside all keys."""

@@ -58,6 +58,12 @@ def test_refused(tmp_path: Path, keys: list[Rectangle], message: str) -> None:
     assert caught.value.fix
 
 
+def test_too_many(tmp_path: Path) -> None:
+    """A layout that would hold the start up for half a minute is refused."""
+    with pytest.raises(ConfigError, match="at most 1000"):
+        load_layout(layout(tmp_path, *((str(i), i, 0, 0.5, 1) for i in range(1001))))
+
+
 @pytest.mark.parametrize("content", [b"a = " + b"1" * 5000, b"a = " + b"[" * 5000, b"\xff", b"[", b"key = 3"])
 def test_no_layout(tmp_path: Path, content: bytes) -> None:
     """A file that is no layout is refused, and so are a folder, a pipe and what is too long for one."""

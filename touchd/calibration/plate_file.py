@@ -16,6 +16,8 @@ from touchd.twin.physics.transducer import Layout
 
 Edge = Literal["free", "pads", "tape", "clamped"]
 Millimetres = Annotated[float, Field(gt=0, le=1e5, strict=True)]
+Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
+Place = tuple[Coordinate, Coordinate]
 
 
 class _Table(BaseModel):
@@ -69,8 +71,8 @@ class DiscsSaid(_Table):
     """The table `[discs]`."""
 
     diameter_mm: Millimetres
-    emitter_mm: tuple[float, float]
-    receivers_mm: tuple[tuple[float, float], ...] = Field(min_length=1)
+    emitter_mm: Place
+    receivers_mm: tuple[Place, ...] = Field(min_length=1)
     """In the order of the channels."""
     uncertainty_mm: float = Field(default=1.0, gt=0, le=50)
 
@@ -78,7 +80,7 @@ class DiscsSaid(_Table):
 class ScattererSaid(_Table):
     """A table `[[scatterers]]`: a hole, a button, a bracket."""
 
-    at_mm: tuple[float, float]
+    at_mm: Place
     diameter_mm: Millimetres
     uncertainty_mm: float = Field(default=1.0, gt=0, le=50)
     """Of the place."""

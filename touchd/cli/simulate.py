@@ -26,6 +26,8 @@ from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
 from touchd.twin.simulate import Session, simulate_session, simulate_stage
 
 TOUCHES = "touches"
+MOST_FRAMES, MOST_TOUCHES = 2_000_000, 1_000_000
+"""4 GB in memory, of four channels."""
 _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
 
 
@@ -61,9 +63,11 @@ acquisition_option = click.option(
 @click.argument("scene", type=click.Choice([TOUCHES, *SCENES]), metavar="SCENE")
 @click.option("-o", "--output", type=PATH, required=True, help="The recording to write (.npz).")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Equal seeds give equal counts.")
-@click.option("--frames", type=click.IntRange(min=1), help="Frames of a scene.  [default: the scene's]")
+@click.option("--frames", type=click.IntRange(1, MOST_FRAMES), help="Frames of a scene.  [default: the scene's]")
 @click.option("--rate-hz", type=Number(), help="Frames per second of a scene.  [default: 125; demo 100]")
-@click.option("--count", type=click.IntRange(min=1), help=f"Touches of a training set.  [default: {COUNT}]")
+@click.option(
+    "--count", type=click.IntRange(1, MOST_FRAMES // 2), help=f"Touches of a training set.  [default: {COUNT}]"
+)
 @click.option("--finger", type=click.Choice(list(TISSUES)), help="Tissue of the finger.  [default: the scene's]")
 @click.option("--keypad", type=PATH, help="Layout of the keys (TOML).  [default: 3 x 4 keys]")
 @click.option("--code", help="Code to type on the keypad.")

@@ -200,6 +200,8 @@ class Instrument:
             self._untouched += self._driven(feedthrough, len(orders))[:, None]
         self.peak = float(np.abs(self.untouched([REFERENCE_C])).max())
         """Peak of the untouched plate at the reference temperature, from which signals are counted."""
+        if not self.peak > 0:
+            raise SimulationError(f"{a.samples} samples hear nothing of the chirp", "acquisition", "take longer frames")
         self._untouched /= self.peak
 
     def _driven(self, feedthrough: Sequence[tuple[float, float]], count: int) -> Floats:

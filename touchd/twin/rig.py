@@ -5,7 +5,8 @@ All of it is off by default. Sizes and sources stand in `mounting`, `instrument`
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +48,37 @@ _KEYS: dict[str, Iterable[str]] = {
 """Keys of each table, by its name."""
 
 
+MOST_DB, MOST = 400.0, 1e18
+"""Of a level or an angle, and of any other number: beyond, powers overflow."""
+_LEVELS = ("_db", "tilts", "feedthrough")
+_ENDLESS = ("electronics.noise_db", "electronics.tones.stop_s")
+"""May be infinite."""
+
+
+def _numbers(key: str, value: object) -> Iterator[tuple[str, float]]:
+    """Yield all numbers of a table, with their keys."""
+    if isinstance(value, dict):
+        for name, each in value.items():
+            yield from _numbers(f"{key}.{name}".removeprefix("."), each)
+    elif isinstance(value, list):
+        for each in value:
+            yield from _numbers(key, each)
+    elif isinstance(value, int | float):
+        yield key, value
+
+
 def load_rig(path: Path) -> Rig:
     """Return the rig of a TOML file.
 
     Raises SimulationError if the file cannot be read, is not TOML, or has a key or value that no rig has.
     """
+    tables = read_toml(path, SimulationError)
+    for key, value in _numbers("", tables):
+        endless = value == math.inf and key in _ENDLESS
+        if not (endless or abs(value) <= (MOST_DB if key.endswith(_LEVELS) else MOST)):
+            raise SimulationError(f"{key}: is {str(value)[:24]}", str(path), "correct it: no rig has that")
     try:
-        return Rig.model_validate(read_toml(path, SimulationError))
+        return Rig.model_validate(tables)
     except ValidationError as error:
         # A key misspelt is missing, too.
         first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")

@@ -88,6 +88,14 @@ def test_mistakes_in_a_scatterer(table: dict[str, Any], said: str) -> None:
         check_plate_file({**CONTENT, "scatterers": [table]})
 
 
+@pytest.mark.parametrize("key", ["emitter_mm", "receivers_mm"])
+def test_a_place_beyond_all_plates(key: str) -> None:
+    """Its square would overflow."""
+    far = [1e300, -1e300]
+    with pytest.raises(PlateFileInvalid, match=f"discs.{key}.*100000"):
+        read("discs", **{key: far if key == "emitter_mm" else [far, far]})
+
+
 def test_all_mistakes() -> None:
     """All mistakes are reported at once, each with its remedy, and a choice of types once."""
     content = changed("plate", height_mm=..., edge="glued", colour="red")

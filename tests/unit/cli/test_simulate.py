@@ -86,7 +86,15 @@ def test_wrong_options(tmp_path: Path) -> None:
         assert f"--{option}" in result.output
     for plate in ("20x30", "20x30x0", "0.5x30x5", "nanx30x5", "1e300x30x5", "20x30x5x5"):
         assert call("tap", "-o", path, "--plate", plate).exit_code == 2
+    for scene, option in (("idle", "--frames"), ("touches", "--count")):
+        assert call(scene, "-o", path, option, str(10**26)).exit_code == 2
     assert not path.exists()
+
+
+def test_a_frame_that_hears_nothing(tmp_path: Path) -> None:
+    """Two samples, both at the frame's edge, are refused instead of noise without a signal."""
+    with pytest.raises(SimulationError, match="hear nothing"):
+        call("idle", "-o", tmp_path / "x.npz", *SMALL, "--acquisition", "250e3:2:5e4-1e5:1e-6")
 
 
 @pytest.mark.parametrize("plate", ["200x200x0.001", "200x200x10000", "200x200x51", "9x200x1", "0.2x0.2x0.005"])

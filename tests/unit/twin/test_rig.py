@@ -51,6 +51,7 @@ def test_file(tmp_path: Path) -> None:
     assert rig.electronics.tones[0].finger
     assert rig.electronics.impulses is not None
     assert load_rig(rig_of(tmp_path, "")) == IDEAL
+    assert load_rig(rig_of(tmp_path, "[electronics]\nnoise_db = inf")).electronics.noise_db == float("inf")
 
 
 @pytest.mark.parametrize(
@@ -60,7 +61,13 @@ def test_file(tmp_path: Path) -> None:
         ("[electronics]\ntones = [{ hz = 1 }]", "electronics.tones.0.hz: unknown key -> use frequency_hz"),
         ("[[mounting.attachments]]\nsupport = { loos = 1 }", "loos: unknown key -> use stiffness_n_m3"),
         ("[mounting]\nleft = 'glue'", "mounting.left"),
-        ("[mounting]\nleft = 'pads'\npreload_n = inf", "mounting.preload_n: .* finite"),
+        ("[electronics]\nnoise_db = nan", "electronics.noise_db: is nan"),
+        ("[electronics]\npeak = inf", "electronics.peak: is inf"),
+        ("[electronics]\nimage_db = 1e308", "electronics.image_db: is 1e.308"),
+        ("[[electronics.tones]]\nfrequency_hz = 6e4\nlevel_db = 1e300", "electronics.tones.level_db: is 1e.300"),
+        (f"[electronics]\ninl_lsb = {10**30}", "electronics.inl_lsb: is 1000000"),
+        ("tilts = [[1e9, 0]]", "tilts: is 1000000000.0"),
+        ("[mounting]\nleft = 'pads'\npreload_n = inf", "mounting.preload_n: is inf"),
         (
             "[[mounting.attachments]]\nx_mm = [0, 5]\ny_mm = [0, 9]\npreload_n = 1",
             "attachments.0: preload_n: only round attachments can be pressed -> correct it",
