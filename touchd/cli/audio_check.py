@@ -74,6 +74,8 @@ def command(
     name = device or audio.device
     if not name:
         raise ConfigError("is not set", "audio.device", "name a card: hw:CARD=NAME; arecord -L lists them")
+    if not name.isprintable():  # it is said in messages
+        raise ConfigError(f"is {name!r}", "audio.device", "name a card as arecord -L lists it")
     try:
         card = AlsaCard(name, audio.sample_rate_hz, inputs or max(*audio.channels, audio.loopback))
         with closing(card):

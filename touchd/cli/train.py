@@ -14,6 +14,9 @@ from touchd.training.network.recipe import RECIPES
 
 _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" for recipe in RECIPES.values())])
 
+MOST_ZONES, MOST_SEED = 1000, (1 << 63) - 1
+"""Of what a model can describe, and PyTorch can take."""
+
 
 @click.command(epilog=_RECIPES)
 @click.argument("recording", type=PATH, nargs=-1, required=True)
@@ -22,10 +25,11 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
     "--recipe", type=click.Choice(list(RECIPES)), default="best", show_default=True, metavar="NAME",
     help="Recipe to train by, from the list below.",
 )  # fmt: skip
-@click.option("--n", "grid", default=10, show_default=True, help="Zones along each side, for the grid recipes.")
+@click.option("--n", "grid", default=10, type=click.IntRange(max=MOST_ZONES), show_default=True,
+              help="Zones along each side, for the grid recipes.")  # fmt: skip
 @click.option("--layout", type=PATH, help="Keys (TOML), for the keypad recipes.  [default: 3 x 4]")
 @click.option("--network", type=PATH, help="Recipe atlas: use this network, trained on RECORDING.")
-@click.option("--seed", default=0, type=click.IntRange(min=0), show_default=True,
+@click.option("--seed", default=0, type=click.IntRange(0, MOST_SEED), show_default=True,
               help="Seed of the split, the weights and the augmentation.")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
 @click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line: progress, then the result.")

@@ -195,6 +195,11 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         ("nowhere",),
     ),
     "a card that is not there": (errors.DeviceLost, lambda _: ("audio-check", "hw:99"), ("no hw:99", "plug it in")),
+    "a card whose name a terminal obeys": (
+        errors.ConfigError,
+        lambda _: ("audio-check", "hw:0\n\x1b[2J"),
+        ("audio.device", r"\x1b[2J"),
+    ),
     "no card to check": (errors.ConfigError, lambda _: ("audio-check",), ("audio.device", "arecord -L")),
     "a missing model": (errors.ModelMissing, bound("--model", "nowhere.onnx"), ("nowhere.onnx",)),
     "no model": (
@@ -453,6 +458,14 @@ def test_interrupted_import(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     monkeypatch.setattr(cli.touchd, "invoke", lambda _context: imported())
     assert main([]) == 130
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("option", ["--n", "--seed"])
+def test_a_number_that_is_too_large(option: str, world: World) -> None:
+    """It is refused before PyTorch or the model's description fails of it."""
+    ended = touchd("train", world.good, "-o", world.folder / "a.onnx", option, 10**30)
+    assert ended.code == 2
+    assert option in ended.err
 
 
 def test_a_file_that_may_not_be_read(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
