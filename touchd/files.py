@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import re
 import socket
 import stat
 import tempfile
+import time
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,6 +20,7 @@ from touchd.errors import ConfigError, OutputError, TouchdError
 
 CHECK = "check folder, space and permissions"
 _PREFIX_BYTES = 100
+_LOCK_TRIES, _LOCK_PAUSE_S = 200, 0.01
 MOST_TEXT_BYTES = 1 << 20
 """No file of settings, keys or measures is as long."""
 _TOML_ERROR = re.compile(r"(?P<what>.*) \(at (?P<place>line \d+, column \d+|end of document)\)", re.DOTALL)
@@ -179,6 +182,25 @@ def clear_socket(path: Path, kind: socket.SocketKind) -> None:
     except BlockingIOError:  # a live publisher may have a full queue
         pass
     raise OSError(errno.EADDRINUSE, os.strerror(errno.EADDRINUSE), str(path))
+
+
+@contextmanager
+def one_at_a_time(folder: Path) -> Iterator[None]:
+    """Keep other processes of touchd from looking at and making socket files in a folder meanwhile.
+
+    Of two that start at once each would find nothing there, and the second take the file from the first. Whoever holds
+    the lock for long is a stranger: it is not waited for.
+    """
+    with ExitStack() as stack:
+        with suppress(OSError, ValueError):  # what is wrong with the folder is said by whoever makes the file
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            stack.callback(os.close, lock)
+            for _ in range(_LOCK_TRIES):
+                with suppress(BlockingIOError):
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                time.sleep(_LOCK_PAUSE_S)
+        yield
 
 
 @contextmanager

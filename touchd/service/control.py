@@ -18,7 +18,7 @@ from pathlib import Path
 
 from touchd.config.schema import ControlSettings
 from touchd.errors import AddressInUse, BusError, BusTimeout, ConfigError, ModelError
-from touchd.files import clear_socket, private_socket, runtime_folder
+from touchd.files import clear_socket, one_at_a_time, private_socket, runtime_folder
 from touchd.sinks.throttle import Throttle
 
 COMMANDS = ("screen off", "screen on", "reload", "frames")
@@ -122,18 +122,19 @@ class Control:
         """Sockets that came with the commands `frames`, in order: take them from here."""
         self._asking: list[socket.socket] = []
         self._refused = Throttle("no such command, or not for this user")
-        _clear(path)
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
-        try:
-            with private_socket(path, grp.getgrnam(group).gr_gid if group else None):
-                self._socket.bind(str(path))
-        except (OSError, KeyError) as error:
-            self.close()
-            why = f"there is no group {group!r}" if isinstance(error, KeyError) else error.strerror or str(error)
-            raise ConfigError(
-                f"cannot be made ({why})", f"control.socket {path}", "correct control.socket or control.group"
-            ) from error
+        with one_at_a_time(path.parent):
+            _clear(path)
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+            try:
+                with private_socket(path, grp.getgrnam(group).gr_gid if group else None):
+                    self._socket.bind(str(path))
+            except (OSError, KeyError) as error:
+                self.close()
+                why = f"there is no group {group!r}" if isinstance(error, KeyError) else error.strerror or str(error)
+                raise ConfigError(
+                    f"cannot be made ({why})", f"control.socket {path}", "correct control.socket or control.group"
+                ) from error
 
     def poll(self) -> list[str]:
         """Return the commands that have come, in order, without waiting; log and drop what is no command."""

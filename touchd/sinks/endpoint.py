@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchd.errors import AddressInUse, BusError, InsecureBind
-from touchd.files import clear_socket, private_socket, runtime_folder
+from touchd.files import clear_socket, one_at_a_time, private_socket, runtime_folder
 
 if TYPE_CHECKING:  # subscribers do without its 16 MB
     from touchd.config.schema import BusSettings
@@ -111,16 +111,17 @@ def private_file(address: str, group: str) -> Iterator[None]:
     if path.name == "*":
         raise BusError("a socket file needs a path", address, "write ipc:///run/touchd/bus, for example")
     gid = _group_id(address, group) if group else None
-    _refuse_taken(address, path)
-    try:
-        with private_socket(path, gid):
-            yield
-    except OSError as error:
-        raise BusError(
-            f"the socket cannot be given to the group {group!r} ({error.strerror})",
-            address,
-            "run touchd as a member of bus.ipc_group",
-        ) from error
+    with one_at_a_time(path.parent):
+        _refuse_taken(address, path)
+        try:
+            with private_socket(path, gid):
+                yield
+        except OSError as error:
+            raise BusError(
+                f"the socket cannot be given to the group {group!r} ({error.strerror})",
+                address,
+                "run touchd as a member of bus.ipc_group",
+            ) from error
 
 
 def _group_id(address: str, group: str) -> int:

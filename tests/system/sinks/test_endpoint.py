@@ -10,6 +10,7 @@ import socket
 import stat
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,8 @@ from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
 from touchd.errors import AddressInUse, BusError, BusTimeout, InsecureBind
 from touchd.event import KeyEvent
+from touchd.files import clear_socket
+from touchd.sinks import endpoint
 from touchd.sinks.zeromq import ZeromqSink
 
 PUBLISHER = """
@@ -206,3 +209,30 @@ def test_an_unknown_group_is_named(tmp_path: Path) -> None:
     with pytest.raises(BusError, match=r"no group 'no-such-group'.*groupadd"):
         bind(f"ipc://{tmp_path}/bus", ipc_group="no-such-group")
     assert not (tmp_path / "bus").exists()
+
+
+def test_two_that_start_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second looks once the first listens, and is refused: it would take the file from it."""
+    address, looked, refused = f"ipc://{tmp_path}/bus", threading.Event(), threading.Event()
+    really = clear_socket
+
+    def second() -> None:
+        with contextlib.suppress(AddressInUse), endpoint.private_file(address, ""):
+            return
+        refused.set()
+
+    def look(path: Path, kind: socket.SocketKind) -> None:
+        looked.set()
+        really(path, kind)
+
+    with socket.socket(socket.AF_UNIX) as first:
+        with endpoint.private_file(address, ""):
+            monkeypatch.setattr(endpoint, "clear_socket", look)
+            thread = threading.Thread(target=second)
+            thread.start()
+            assert not looked.wait(0.1)
+            first.bind(str(tmp_path / "bus"))
+            first.listen()
+        thread.join()
+    assert looked.is_set()
+    assert refused.is_set()
