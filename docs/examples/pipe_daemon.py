@@ -11,14 +11,15 @@ import numpy as np
 
 from touchd.config.load import load
 from touchd.frame import Acquisition, Frame
-from touchd.service.daemon import load_model, make_service
+from touchd.service.daemon import make_pipeline
 from touchd.service.log import configure
+from touchd.service.loop import Service
 from touchd.service.signals import stop_on_signals
 from touchd.sinks.zeromq import ZeromqSink
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, Source
 
 
-class PipeSource:
+class PipeSource(Source):
     """Frames from a pipe: a sequence number (u64) and the counts (int16), little-endian."""
 
     def __init__(self, pipe: BinaryIO, acquisition: Acquisition) -> None:
@@ -59,7 +60,7 @@ def main() -> None:
     configure(settings.log)
     source = PipeSource(sys.stdin.buffer, Acquisition(channels=4, samples=250, sample_rate_hz=250e3))
     sinks = [ZeromqSink(settings.bus)]
-    service = make_service(source, sinks, settings, load_model(settings))
+    service = Service(source, sinks, settings, make_pipeline(source, settings))
     stop_on_signals(service)
     service.run()  # closes source and sinks
 

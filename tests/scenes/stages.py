@@ -13,7 +13,7 @@ from touchd.frame import Acquisition, Frame
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Meta, Recording
 from touchd.service.replay import Replayed, run_through
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, Source
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.scenes.timeline import Stage
@@ -29,7 +29,7 @@ def empty_stage(seconds: float, seed: int = 0, rate_hz: float = RATE_HZ) -> Stag
     return Stage(DEFAULT_PLATE, rate_hz, sequence, temperature_c, np.random.default_rng(seed), Electronics())
 
 
-class Given:
+class Given(Source):
     """A source of frames, as fast as they are read."""
 
     def __init__(self, acquisition: Acquisition, frames: Iterable[Frame]) -> None:

@@ -20,7 +20,8 @@ from touchd.config.rigs import AudioSettings
 from touchd.config.schema import BusSettings, DeviceSettings, HealthSettings, Settings
 from touchd.localization.model import Model
 from touchd.recording.format import read
-from touchd.service.daemon import make_service
+from touchd.service.daemon import make_pipeline
+from touchd.service.loop import Service
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.audio import AudioDaq
 from touchd.sources.daq import DaqAbsent, Waits
@@ -99,7 +100,8 @@ def test_scenario(tmp_path: Path, atlas_model: Model) -> None:
         lambda: iter([connect]), device, atlas_model.description.acquisition, lambda _: None,
         waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, direct=False,
     )  # fmt: skip
-    service = make_service(source, [ZeromqSink(settings.bus)], settings, atlas_model, clock=card.clock)
+    pipeline = make_pipeline(source, settings, atlas_model)
+    service = Service(source, [ZeromqSink(settings.bus)], settings, pipeline, clock=card.clock)
     thread = threading.Thread(target=service.run)
     thread.start()
     try:

@@ -25,7 +25,7 @@ from touchd.localization.spline import Spline
 from touchd.pipeline import Pipeline
 from touchd.recording.format import Reader
 from touchd.service.runner import frames_of
-from touchd.sources.source import Change, LiveSource, Source
+from touchd.sources.source import Change, Source
 from touchd.sources.usb_protocol import INTERFACE_CLASS
 
 SYSTEM = Path("/")
@@ -164,7 +164,7 @@ def take(source: Source, seconds: float) -> Sample:
             raise SourceError(f"{reason}, for {_SILENCE_S:g} s", "source", _CABLE)
     if len(t_ns) < 2:
         raise SourceError(reason, "source", _CABLE)
-    corrupt = source.tally.corrupt if isinstance(source, LiveSource) else 0
+    corrupt = source.tally.corrupt if source.tally else 0
     return Sample(np.array(counts), np.array(sequence, np.int64), np.array(t_ns, np.int64), corrupt)
 
 

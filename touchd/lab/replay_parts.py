@@ -28,7 +28,7 @@ from touchd.recording.data import ARRAYS, Recording
 from touchd.recording.format import Reader, chunk_paths, join
 from touchd.service.models import model_path
 from touchd.service.replay import run_through
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, Source
 from touchd.twin.cache import parts_kept
 
 PART_FRAMES = 100_000
@@ -136,7 +136,7 @@ def _of_part(events: Sequence[TouchEvent], first: int) -> Iterator[TouchEvent]:
             yield structs.replace(event, contacts=[contact for contact in event.contacts if contact.id not in before])
 
 
-class _Span:
+class _Span(Source):
     """The frames of a part, as a source."""
 
     def __init__(self, part: Part) -> None:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import faulthandler
-import math
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +17,7 @@ from touchd.files import is_missing
 from touchd.keypad import Layout
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
-from touchd.recording.data import Device, Meta
+from touchd.recording.data import Meta
 from touchd.service import realtime
 from touchd.service.control import Control, path_of
 from touchd.service.frame_feed import FeedDescription, FrameFeed, rate_of
@@ -92,27 +90,14 @@ def make_pipeline(
     return Pipeline(source.acquisition, model, settings, layout_of(settings, model), notify)
 
 
-def make_service(
-    source: Source,
-    sinks: Sequence[Sink],
-    settings: Settings,
-    model: Model,
-    *,
-    clock: Callable[[], int] = time.monotonic_ns,
-    preroll: PreRoll | None = None,
-) -> Service:
-    """Return the service between a source and sinks, which it closes at the end of `run`."""
-    return Service(source, sinks, settings, make_pipeline(source, settings, model), clock=clock, preroll=preroll)
-
-
 def feed_description(source: Source, settings: Settings, choice: SourceChoice, pipeline: Pipeline) -> FeedDescription:
     """Describe a source's frames, as they are now, to those who record them."""
-    known, model = getattr(source, "meta", None), pipeline.model
+    known, model = source.meta, pipeline.model
     plate = model.description.plate if model else None
     return FeedDescription(
         acquisition=source.acquisition, rate_hz=rate_of(source, settings.device),
         source=known.source if known else choice.kind, plate=known.plate if known else plate,
-        device=getattr(source, "device", None) or Device(), emitter_mm=known.emitter_mm if known else None,
+        device=source.device, emitter_mm=known.emitter_mm if known else None,
         receivers_mm=(known.receivers_mm if known else None) or (),
         keypad=pipeline.layout is not None or (model is None and settings.keypad.layout is not None),
     )  # fmt: skip
@@ -127,7 +112,7 @@ def recording_meta(source: Source, d: FeedDescription) -> Meta:
 
 def warn_of_another_plate(source: Source, model: Model | None) -> None:
     """Log if a recording or a scene is of a plate of another size than the model's."""
-    known = getattr(source, "meta", None)
+    known = source.meta
     if not (known and model):
         return
     sizes = [f"{p.width_mm:.0f} x {p.height_mm:.0f} mm" for p in (known.plate, model.description.plate)]
@@ -158,8 +143,7 @@ def run(
         if manager.watchdog_s:
             # The manager kills a daemon that hangs by SIGABRT: the log then has a traceback, of function names alone.
             faulthandler.enable()
-        with realtime.giving_way() if choice.speed == math.inf else nullcontext():
-            parts = open_parts(settings, stack)
+        parts = open_parts(settings, stack)
         bus, model = parts.bus, parts.model
         assert bus is not None
         if model is None:

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import BusError, SourceError
 from touchd.frame import Acquisition, Description, Frame, Plate
-from touchd.recording.data import Device, Meta
+from touchd.recording.data import Device
 from touchd.service.control import SERVICE_PATH, converse, path_of
 from touchd.sources.open import SourceChoice
 from touchd.sources.source import Source
@@ -102,7 +102,7 @@ class FrameFeed:
         self.listeners = []
 
 
-class DaemonSource:
+class DaemonSource(Source):
     """Frames of a running daemon, as a source; `feed` is the program's end of the pair.
 
     Raises BusError if the daemon does not answer: this user may not read its frames, or it is older than this program.
@@ -147,8 +147,7 @@ class DaemonSource:
 
 def rate_of(source: Source, settings: DeviceSettings) -> float:
     """Return the frame rate of a recording, a scene or the running daemon, or the configured one of a device, Hz."""
-    meta = getattr(source, "meta", None)
-    return meta.frame_rate_hz if isinstance(meta, Meta) else float(getattr(source, "rate_hz", settings.rate_hz))
+    return source.meta.frame_rate_hz if source.meta else source.rate_hz or settings.rate_hz
 
 
 def open_running(choice: SourceChoice, settings: Settings) -> DaemonSource | None:

@@ -23,7 +23,7 @@ from touchd.service.reload import Reloader
 from touchd.service.runner import frames_of
 from touchd.service.systemd import Notifier
 from touchd.sinks.sink import Sink
-from touchd.sources.source import Change, Labelled, LiveSource, Source
+from touchd.sources.source import Change, Source, Tally
 
 STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
@@ -75,8 +75,6 @@ class Service:
         self._awake = Awake(settings.realtime.awake_from_hz)
         self._rate = ScanRate(source, settings.device)
         self._preroll, self._control, self._feed = preroll, control, feed
-        # A device reports its states; of any other source only the silence is known.
-        self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
@@ -120,8 +118,8 @@ class Service:
 
     def _run_frames(self) -> None:
         pipeline, preroll, feed, rate = self.pipeline, self._preroll, self._feed, self._rate
-        labelled = self._source if isinstance(self._source, Labelled) else None
-        for frame in frames_of(self._source, on_change=self._follow):
+        source = self._source
+        for frame in frames_of(source, on_change=self._follow):
             if frame is None:
                 self._wait()
             else:
@@ -130,7 +128,7 @@ class Service:
                 result = pipeline.process(frame)
                 if result.contacts or result.touches:
                     self._publish(result, frame.received_ns)
-                if labelled is not None and (true := self._messages.truth(frame, labelled)) is not None:
+                if (true := self._messages.truth(frame, source)) is not None:
                     self._hand(true, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
@@ -158,8 +156,9 @@ class Service:
         if self._preroll is not None:
             self._preroll.poll()
         now_ns = self._clock()
-        if self._live is not None:
-            self._count_withheld(self._live, now_ns)
+        # A device reports its states; of any other source only the silence is known.
+        if self._source.tally is not None:
+            self._count_withheld(self._source.tally, now_ns)
         elif self._state in _FLOWING and now_ns - self._seen_ns > STALL_NS:
             self._release(now_ns)
             self._enter("stalled")
@@ -167,9 +166,9 @@ class Service:
         if not self.pipeline.touched:
             self._awake.close()
 
-    def _count_withheld(self, source: LiveSource, now_ns: int) -> None:
+    def _count_withheld(self, tally: Tally, now_ns: int) -> None:
         """Tell the pipeline of frames that the source has withheld since the last wait: they measure nothing."""
-        withheld, before = dict(source.tally.withheld), self._withheld
+        withheld, before = dict(tally.withheld), self._withheld
         self._withheld = withheld
         for name, count in withheld.items():
             if count != before.get(name, 0):

@@ -30,7 +30,7 @@ from touchd.frame import Frame
 from touchd.keypad import Layout
 from touchd.pipeline import Pipeline, Result
 from touchd.service.frame_feed import FeedDescription
-from touchd.sources.source import Labelled, LiveSource, Source, Tally
+from touchd.sources.source import Source, Tally
 
 _LATENCIES = 8192
 """Kept for one health period; of more messages than that the last ones count."""
@@ -109,7 +109,7 @@ class Messages:
             (a.chirp.start_hz, a.chirp.stop_hz), d.source, d.emitter_mm, list(d.receivers_mm), keys,
         )  # fmt: skip
 
-    def truth(self, frame: Frame, source: Labelled) -> TruthEvent | None:
+    def truth(self, frame: Frame, source: Source) -> TruthEvent | None:
         """Return where the fingers of a labelled frame really are; None if nobody wants it, or nothing has changed."""
         if not self._asked("truth"):
             return None
@@ -144,8 +144,7 @@ class Health:
     """The health of one service; a live source counts the frames that never reached the pipeline."""
 
     def __init__(self, source: Source, pipeline: Pipeline, messages: Messages, settings: HealthSettings) -> None:
-        self._live = source if isinstance(source, LiveSource) else None
-        self._pipeline, self._messages = pipeline, messages
+        self._source, self._pipeline, self._messages = source, pipeline, messages
         self._latencies_us = np.zeros(_LATENCIES, np.float32)
         self._sent = 0
         self._logged: dict[str, int] = {}
@@ -174,7 +173,7 @@ class Health:
         pipeline, unheard = self._pipeline, self._messages.unheard
         counters = pipeline.counters
         # The tally of a device tells apart what the pipeline only misses.
-        tally = self._live.tally if self._live is not None else Tally(lost=counters.lost)
+        tally = self._source.tally or Tally(lost=counters.lost)
         dropped = {"repeated": counters.repeated, "behind": tally.behind, **tally.withheld}
         return HealthEvent(
             *self._messages.stamp("health", stream_ns or now_ns),

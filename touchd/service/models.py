@@ -1,4 +1,4 @@
-"""Which model the daemon uses, with which keys, and what tells that its files have changed since."""
+"""Which model the daemon uses, with which keys, and whether its files have changed since."""
 
 from __future__ import annotations
 
@@ -57,18 +57,7 @@ def layout_of(settings: Settings, model: Model | None) -> Layout | None:
     return load_layout(settings.keypad.layout, model.description.plate)
 
 
-Signature = tuple[Path, bool, tuple[object, ...]]
-
-
-def signature_of(settings: Settings) -> Signature:
-    """Return what tells the files of a model from others at the same path."""
+def is_current(model: Model, settings: Settings) -> bool:
+    """Return whether a model was read from the files that the settings name, as they are now."""
     path = model_path(settings)
-    return path, settings.model.atlas, stamps_of(path, atlas_path(path))
-
-
-def signature_in_use(settings: Settings, model: Model | None) -> Signature:
-    """Return that of the files that were read: they may have been replaced while the daemon started."""
-    path, atlas, stamps = signature_of(settings)
-    if model is None:
-        return path, atlas, ()
-    return path, atlas, model.stamps if model.path == path else stamps
+    return model.path == path and model.stamps == stamps_of(path, atlas_path(path))

@@ -6,7 +6,7 @@ import structlog
 
 from touchd.config.schema import DeviceSettings
 from touchd.outcome import Outcome
-from touchd.sources.source import AdjustableSource, Source
+from touchd.sources.source import Source
 
 log = structlog.get_logger()
 
@@ -21,10 +21,10 @@ _SCREEN_OFF = Outcome.SCREEN_OFF
 
 
 class ScanRate:
-    """Decides the frame rate by what came of each frame; a source that is no AdjustableSource keeps its own."""
+    """Decides the frame rate by what came of each frame; a source that has one rate alone keeps it."""
 
     def __init__(self, source: Source, settings: DeviceSettings) -> None:
-        self._source = source if isinstance(source, AdjustableSource) else None
+        self._source = source
         self._full_hz = self.rate_hz = settings.rate_hz
         self._idle_hz = min(settings.idle_rate_hz, settings.rate_hz)
         self._off_hz = min(SCREEN_OFF_HZ, self._idle_hz)
@@ -60,7 +60,7 @@ class ScanRate:
 
     def _ask(self, rate_hz: int) -> None:
         self.rate_hz = rate_hz
-        heard = self._source is None or self._source.set_rate(rate_hz)
+        heard = self._source.set_rate(rate_hz)
         if not heard and self._unheard_ns is None:
             log.warning("the device did not take another frame rate; it is asked again", rate_hz=rate_hz)
         self._unheard_ns = None if heard else self._t_ns

@@ -1,4 +1,4 @@
-"""What makes latency steady and systemd's unit cannot set: garbage, the bus's thread, open files, sleeping processors.
+"""What makes latency steady and systemd's unit cannot set: garbage, open files, sleeping processors.
 
 Processors, scheduling and niceness are the unit's: deploy/realtime.conf. docs/integrator.md has when to use it.
 """
@@ -9,8 +9,6 @@ import ctypes
 import gc
 import os
 import resource
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import structlog
@@ -38,26 +36,6 @@ def raise_file_limit() -> None:
     """Raise the limit of open files to the highest that the system allows: each subscriber takes one."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-
-
-@contextmanager
-def giving_way() -> Iterator[None]:
-    """Start threads within this context under SCHED_BATCH: they never interrupt another thread when they wake.
-
-    For the bus's thread in a replay at full speed. On the daemon's own processor it would interrupt each frame to send
-    the message of the one before, and nobody waits for a single message. A process under another policy than
-    SCHED_OTHER keeps it, and so do its threads; the same holds where the system refuses.
-    """
-    if os.sched_getscheduler(0) != os.SCHED_OTHER:
-        yield
-        return
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def permitted() -> bool:

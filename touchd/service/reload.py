@@ -17,7 +17,7 @@ from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.service import log as logging
 from touchd.service.messages import Health, Messages
-from touchd.service.models import layout_of, load_model, model_path, signature_in_use, signature_of
+from touchd.service.models import is_current, layout_of, load_model, model_path
 from touchd.service.preroll import PreRoll
 
 RESTART_ONLY = frozenset({"device", "ni", "audio", "bus", "control", "realtime", "baseline.learn_frames"})
@@ -74,7 +74,6 @@ class Reloader:
         self.settings = settings
         """Those in use."""
         self._read = read
-        self._signature = signature_in_use(settings, pipeline.model)
         self._pipeline, self._messages, self._health, self._preroll = pipeline, messages, health, preroll
 
     def reload(self) -> str:
@@ -97,9 +96,10 @@ class Reloader:
         return ""
 
     def _take(self, new: Settings) -> None:
-        pipeline, signature = self._pipeline, signature_of(new)
+        pipeline = self._pipeline
         before, keys = pipeline.model, pipeline.layout
-        model = before if signature == self._signature else self._load(new, before)
+        same = before is not None and is_current(before, new) and new.model.atlas == self.settings.model.atlas
+        model = before if same else self._load(new, before)
         layout = layout_of(new, model)
         try:
             if model is not None:
@@ -111,7 +111,7 @@ class Reloader:
         except Exception:
             self._configure(self.settings, keys)  # no part keeps what another one refused
             raise
-        self.settings, self._signature = new, signature
+        self.settings = new
 
     def _load(self, new: Settings, before: Model | None) -> Model | None:
         """Return another model than the one in use, `before`; None while none has ever been there.

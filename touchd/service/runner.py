@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 
 from touchd.frame import Frame
 from touchd.sources.source import Change, EndOfStream, Source
@@ -20,7 +20,6 @@ def frames_of(
     source stays open at the end; one that fails raises a TouchdError. `on_change` is called with each change of a live
     source's state, before the None that follows it.
     """
-    changes: Callable[[], Iterable[Change]] = getattr(source, "changes", tuple)
     read = source.read
     while True:
         try:
@@ -28,6 +27,6 @@ def frames_of(
         except EndOfStream:
             return
         if frame is None:
-            for change in changes():
+            for change in source.changes():
                 on_change(change)
         yield frame

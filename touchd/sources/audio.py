@@ -65,15 +65,11 @@ def rate_of(acquisition: Acquisition, settings: DeviceSettings) -> int:
     return min(rates_of(acquisition), key=lambda rate_hz: abs(rate_hz - default_hz), default=default_hz)
 
 
-class AudioDaq:
-    """The `Daq` over an open card.
+class AudioDaq(Daq):
+    """The `Daq` over an open card, which plays until it is closed.
 
     `reference` is the untouched response that the model was made from, shape (channels, samples).
     """
-
-    corrupt = 0
-    """A card does not tell."""
-    min_rate_hz = 1
 
     def __init__(
         self,
@@ -138,12 +134,6 @@ class AudioDaq:
     def set_rate(self, rate_hz: int) -> None:
         """Pass on every n-th frame: the chirps go on, since a response in steady state belongs to their period."""
         self._every = max(1, round(1e6 / (rate_hz * self._period_us)))
-
-    def stop(self) -> None:
-        """Do nothing: the card plays until it is closed."""
-
-    def reset(self) -> None:
-        """Do nothing: to open the card again is all that helps."""
 
     def close(self) -> None:
         """Release the card; never fails."""

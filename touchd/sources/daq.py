@@ -49,34 +49,41 @@ class DaqFrame(Struct, gc=False, frozen=True):
 
 
 class Daq(Protocol):
-    """An open connection to one device. Every method but `close` may raise DaqGone."""
+    """An open connection to one device. Every method but `close` may raise DaqGone.
+
+    A class that derives from it has one rate, no corrupt frames, and nothing to stop or reset, unless it says else.
+    """
 
     acquisition: Acquisition
     """What its frames look like."""
     device: Device
     """What a recording says of it: serial number and firmware."""
-    min_rate_hz: int
+    min_rate_hz: int = 1
     max_rate_hz: int
     """Frame rates that `start` takes, Hz."""
 
     @property
     def corrupt(self) -> int:
         """Frames that failed a check on this connection, up to the one that `read` returned last; never falls."""
+        return 0
 
     def start(self, rate_hz: int) -> None:
         """Begin the stream, or restart it, and discard what an earlier stream left behind."""
 
-    def set_rate(self, rate_hz: int) -> None:
+    def set_rate(self, rate_hz: int) -> None:  # noqa: ARG002 - for those that can
         """Go on at another rate, as far as the device can; from any thread, while another one reads."""
+        return
 
     def stop(self) -> None:
         """End the stream."""
+        return
 
     def read(self, timeout_s: float) -> DaqFrame | None:
         """Return the next valid frame; None if none came in time, or the device sent something else first."""
 
     def reset(self) -> None:
         """Reset the device, which breaks the connection."""
+        return
 
     def close(self) -> None:
         """Release the device; never fails."""

@@ -28,7 +28,7 @@ from touchd.recording.data import Device
 from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqFrame, DaqGone, DeviceSearch, Waits
 from touchd.sources.frame_ring import FrameRing, Lending
 from touchd.sources.intake import Intake
-from touchd.sources.source import Change, EndOfStream
+from touchd.sources.source import Change, EndOfStream, Source, Tally
 
 _JOIN_S = 0.5
 """`close` waits this long for a thread that a wedged device holds: the service must end within 1 s of SIGTERM."""
@@ -40,7 +40,7 @@ _MAX_DOUBLINGS = 10  # of the delay between connections; by far enough to reach 
 log = structlog.get_logger()
 
 
-class DaqSource:
+class DaqSource(Source):
     """Frames from a device that may stall, be unplugged, or be plugged in later.
 
     The first of the `candidates` that can be used is; its frames must look like `acquisition`. `check` raises a
@@ -62,7 +62,7 @@ class DaqSource:
     ) -> None:
         self.acquisition, self.rate_hz = acquisition, settings.rate_hz
         self._intake = Intake(settings.rate_hz)
-        self.tally = self._intake.tally
+        self.tally: Tally = self._intake.tally
         self.device = device or Device()
         """The device that was opened last."""
         self._settings, self._waits, self._clock = settings, waits, clock

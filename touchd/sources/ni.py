@@ -24,22 +24,18 @@ from touchd.config.rigs import NiSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
 from touchd.recording.data import Device
-from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone
+from touchd.sources.daq import Daq, DaqAbsent, DaqFrame, DaqGone
 
 _BUFFER_S = 1.0  # of the driver, for a computer that is late
 _DRIVER_FIX = "install NI-DAQmx, which the package needs"
 
 
-class NiDaq:
+class NiDaq(Daq):
     """An open rig, which plays the chirp of `acquisition` and samples its frames.
 
     Raises DaqAbsent if the driver does not find the device; SourceError if there is no driver, or the inputs are not
     sampled simultaneously.
     """
-
-    corrupt = 0
-    """The driver reports an error instead."""
-    min_rate_hz = 1
 
     def __init__(self, settings: NiSettings, acquisition: Acquisition) -> None:
         self.acquisition = acquisition

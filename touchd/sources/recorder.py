@@ -53,9 +53,8 @@ def describe_source(source: Source, plate: Plate, frame_rate_hz: float, kind: st
 
     Acts are of the frames that were recorded first.
     """
-    device = getattr(source, "device", None)
-    fresh = describe(source.acquisition, plate, frame_rate_hz, source=kind, device=device, notes=notes)
-    known: Meta | None = getattr(source, "meta", None)
+    known = source.meta
+    fresh = describe(source.acquisition, plate, frame_rate_hz, source=kind, device=source.device, notes=notes)
     if known is None:
         return fresh
     changes = {"plate": plate, "source": kind, "created": fresh.created, "notes": notes or known.notes, "acts": ()}

@@ -9,15 +9,15 @@ from pathlib import Path
 
 from touchd.errors import ConfigError
 from touchd.frame import Counts, Frame
-from touchd.recording.data import MAX_COUNT, Recording
+from touchd.recording.data import MAX_COUNT, Meta, Recording
 from touchd.recording.format import Reader
-from touchd.sources.source import EndOfStream, touching
+from touchd.sources.source import EndOfStream, Source, touching
 
 MIN_SPEED = 0.001
 _MAX_WAIT_S = 1e6
 
 
-class ReplaySource:
+class ReplaySource(Source):
     """Frames of a recording, at the pace of their timestamps. A slow reader gets every frame, late ones at once.
 
     A frame's `t_ns` is the clock at the first frame plus the recorded time since then, at every `speed`: 2 takes half
@@ -41,7 +41,7 @@ class ReplaySource:
         if not speed >= MIN_SPEED:  # NaN too
             raise ConfigError(f"must be {MIN_SPEED} or more, is {speed:g}", "replay speed", "give a factor, or max")
         self._reader = Reader(path)
-        self.meta = self._reader.meta
+        self.meta: Meta = self._reader.meta
         self.acquisition = self._reader.acquisition
         self._speed = speed
         self._paced = math.isfinite(speed)

@@ -10,7 +10,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from touchd.errors import SimulationError
 from touchd.frame import Counts, Frame
-from touchd.sources.source import EndOfStream, touching
+from touchd.recording.data import Meta
+from touchd.sources.source import EndOfStream, Source, touching
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stream
@@ -20,7 +21,7 @@ _AHEAD = 3
 _MAX_WAIT_S = 1e6
 
 
-class SimulatedSource:
+class SimulatedSource(Source):
     """A scene as if it happened now. A slow reader gets every frame, late ones at once.
 
     A frame's `t_ns` is the clock at the first frame plus the scene's own time, so events do not depend on the speed of
@@ -46,7 +47,7 @@ class SimulatedSource:
         self._stage = stage_scene(scene, instrument.plate if instrument else DEFAULT_PLATE, seed=seed, frames=frames)
         self._instrument = instrument or Instrument(DEFAULT_PLATE)
         self.acquisition = self._instrument.acquisition
-        self.meta = meta_of(self._instrument, self._stage.rate_hz, self._stage.notes)
+        self.meta: Meta = meta_of(self._instrument, self._stage.rate_hz, self._stage.notes)
         self._seed, self._paced, self._loop = seed, paced, loop
         self._clock, self._sleep = clock, sleep
         self._complete_ns = round(self.acquisition.samples / self.acquisition.sample_rate_hz * 1e9)

@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
+from touchd.recording.data import Device, Meta
 
 
 class EndOfStream(Exception):
     """The source has no further frame."""
-
-
-class Source(Protocol):
-    """What the service needs of a source."""
-
-    acquisition: Acquisition
-
-    def read(self, timeout_s: float) -> Frame | None:
-        """Return the next frame; None if none comes in time; raises EndOfStream once there is no further one."""
-
-    def close(self) -> None:
-        """Release what the source holds; further calls do nothing."""
 
 
 class Change(NamedTuple):
@@ -59,36 +48,43 @@ class Tally:
     """How much faster than this computer's the device's clock runs, parts per million; 0 before it is known."""
 
 
-@runtime_checkable
-class AdjustableSource(Protocol):
-    """A source whose frame rate can be changed. Times tell the rate; numbers go on without a gap."""
+class Source(Protocol):
+    """What the service needs of a source. A class that derives from it says no more than it knows and can do."""
 
-    def set_rate(self, rate_hz: int) -> bool:
-        """Ask for this rate from the next frame on; a device that has one rate alone keeps it.
+    acquisition: Acquisition
+    meta: Meta | None = None
+    """Description of the recording or scene that it plays."""
+    rate_hz: float | None = None
+    """Frames a second, if it knows without `meta`."""
+    device: Device = Device()
+    """The DAQ that was opened last."""
+    tally: Tally | None = None
+    """What was not passed on, of a source with a device behind it, which can be lost and found again."""
 
-        Return whether nothing is left to ask for; False if the device did not answer.
-        """
+    def read(self, timeout_s: float) -> Frame | None:
+        """Return the next frame; None if none comes in time; raises EndOfStream once there is no further one."""
 
-
-@runtime_checkable
-class LiveSource(Source, Protocol):
-    """A source with a device behind it, which can be lost and found again."""
-
-    tally: Tally
+    def close(self) -> None:
+        """Release what the source holds; further calls do nothing."""
 
     def changes(self) -> list[Change]:
-        """Take the changes of state since the last frame, in order.
+        """Take the changes of the device's state since the last frame, in order.
 
         While a change waits, `read` returns None at once: no frame overtakes it.
         """
+        return []
 
+    def set_rate(self, rate_hz: int) -> bool:  # noqa: ARG002 - for those that can
+        """Ask for this frame rate from the next frame on; a source that has one rate alone keeps it.
 
-@runtime_checkable
-class Labelled(Protocol):
-    """A source that knows where the fingers really are: a scene, or a recording with labels."""
+        Times tell the rate; numbers go on without a gap. Return whether nothing is left to ask for; False if the device
+        did not answer.
+        """
+        return True
 
     def truth(self) -> list[tuple[float, float]]:
-        """Return the places of the fingers in the frame that was read last, mm."""
+        """Return the places of the fingers in the frame that was read last, mm, if the source knows them."""
+        return []
 
 
 def touching(contacts_mm: NDArray[np.float32] | None, frame: int) -> list[tuple[float, float]]:

@@ -31,8 +31,9 @@ from touchd.frame import Acquisition
 from touchd.lab.benchmark.steady_child import Device
 from touchd.lab.plates import table
 from touchd.lab.plates.cases import make
-from touchd.service.daemon import load_model, make_service
+from touchd.service.daemon import load_model, make_pipeline
 from touchd.service.log import configure
+from touchd.service.loop import Service
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.audio import AudioDaq, acquisition_of
 from touchd.sources.live import DaqSource
@@ -119,7 +120,7 @@ def run(kind: str, folder: Path) -> float:
     frames: Samples = np.load(folder / kind / "circle.npy")
     source, due_ns = source_of(kind, frames, settings, model.atlas.baseline.astype(np.float64))
     bus = ZeromqSink(settings.bus)
-    service = make_service(source, [bus], settings, model)
+    service = Service(source, [bus], settings, make_pipeline(source, settings, model))
     threading.Thread(target=_listen, args=(address,), daemon=True).start()
     took_us: list[float] = []
     publish, began_s = bus.publish, time.monotonic()

@@ -22,7 +22,7 @@ from touchd.event import Contact, Event
 from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service.daemon import make_service
+from touchd.service.daemon import make_pipeline
 from touchd.service.loop import Service
 from touchd.service.preroll import PreRoll
 from touchd.sinks.sink import Sink
@@ -226,7 +226,8 @@ def run(frames: int, rate_hz: float, folder: Path, model: Model, seed: int = 0) 
     watch = Watch(device)
     watch.found.expect(frames)
     sinks: list[Sink] = [watch, ZeromqSink(settings.bus)]
-    service = watch.service = make_service(source, sinks, settings, model, preroll=cast(PreRoll, watch))
+    pipeline = make_pipeline(source, settings, model)
+    service = watch.service = Service(source, sinks, settings, pipeline, preroll=cast(PreRoll, watch))
     gc.collect()
     begun_s = time.monotonic()
     service.run()

@@ -21,7 +21,8 @@ from touchd.errors import ReaderFailed, TouchdError
 from touchd.event import Event, HealthEvent
 from touchd.gadget.device import COMMANDS, Gadget
 from touchd.localization.model import Model
-from touchd.service.daemon import make_service
+from touchd.service.daemon import make_pipeline
+from touchd.service.loop import Service
 from touchd.sinks.sink import Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.usb import open_usb
@@ -99,7 +100,7 @@ class Running:
         bus, self.heard = ZeromqSink(settings.bus), Heard()
         source = open_usb(device, model.description.acquisition, model.check, backend=FakeBus(cable.daq))
         sinks: list[Sink] = [bus, self.heard]
-        self.service = make_service(source, sinks, settings, model)
+        self.service = Service(source, sinks, settings, make_pipeline(source, settings, model))
         self.pipeline, self.tally = self.service.pipeline, source.tally
         self.error: TouchdError | None = None
         self.thread = threading.Thread(target=self._run)

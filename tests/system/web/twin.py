@@ -16,6 +16,7 @@ import numpy as np
 from touchd.__main__ import run
 from touchd.frame import Frame, Plate
 from touchd.service import daemon
+from touchd.sources.source import Source
 from touchd.twin.electronics import Digitiser, Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
@@ -28,7 +29,7 @@ LAYOUT = Layout(emitter_mm=(20, 50), receivers_mm=((12, 12), (98, 18), (85, 78))
 AREA_MM2 = 20.0
 
 
-class FollowingTwin:
+class FollowingTwin(Source):
     """Frames of a plate now, with the finger where the file says."""
 
     def __init__(self, finger: Path) -> None:

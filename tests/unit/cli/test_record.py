@@ -21,7 +21,7 @@ from touchd.recording.data import Meta, Recording
 from touchd.recording.format import read, write
 from touchd.service.frame_feed import DaemonSource, FeedDescription, FrameFeed
 from touchd.sources.open import SourceChoice
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, Source
 
 META = Meta(
     sample_rate_hz=250e3, bits=16, full_scale_v=10.0, frame_rate_hz=125.0,
@@ -78,7 +78,7 @@ def test_folder(original: Path, tmp_path: Path) -> None:
     assert len(read(tmp_path / "long").sequence) == 300
 
 
-class Flaky:
+class Flaky(Source):
     """A live source without a description of its own, which ends with an error."""
 
     def __init__(self, frames: int, then: Exception) -> None:

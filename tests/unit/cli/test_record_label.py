@@ -18,7 +18,7 @@ from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording.data import Act, Device, Recording
 from touchd.recording.format import read, write
 from touchd.sources.recorder import describe
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, Source
 
 ACQUISITION = Acquisition(channels=2, samples=50, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=300, height_mm=200)
@@ -28,7 +28,7 @@ TAP = (150, 200)
 """First and last frame of a finger in each two seconds."""
 
 
-class Scripted:
+class Scripted(Source):
     """Two untouched seconds, then a tap each two seconds; before some frames something happens."""
 
     def __init__(self, happens: dict[int, Callable[[], object]]) -> None:

@@ -14,7 +14,7 @@ from touchd.frame import Acquisition, Frame
 from touchd.localization.model import Model
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, Source
 
 
 @pytest.mark.parametrize(("state", "now_s", "level"), [(0, 2e9, "ok"), (5, 2e9, "warning"), (0, 1e6, "failure")])
@@ -23,7 +23,7 @@ def test_clock(state: int, now_s: float, level: str) -> None:
     assert judge_clock(state, now_s).level == level
 
 
-class Few:
+class Few(Source):
     """A source of a few frames."""
 
     acquisition = Acquisition(channels=1, samples=2, sample_rate_hz=1.0)

@@ -11,7 +11,7 @@ from touchd.event import Event, HealthEvent, TouchEvent
 from touchd.frame import Frame
 from touchd.recording.data import Recording
 from touchd.service.runner import READ_TIMEOUT_S
-from touchd.sources.source import Change, EndOfStream
+from touchd.sources.source import Change, EndOfStream, Source
 
 START_NS = 5_000_000_000
 PERIOD_NS = 8_000_000
@@ -30,7 +30,7 @@ class Clock:
         return self.now_ns
 
 
-class Script:
+class Script(Source):
     """A source that does what is written down: a frame each 8 ms, None after the timeout, or an error."""
 
     def __init__(self, recording: Recording, steps: Sequence[Step], clock: Clock) -> None:

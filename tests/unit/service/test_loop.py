@@ -212,7 +212,7 @@ class Live(Script):
 
     def __init__(self, recording: Recording, steps: Sequence[Step], clock: Clock) -> None:
         super().__init__(recording, steps, clock)
-        self.tally = Tally()
+        self.tally: Tally = Tally()
         self.withholds = ""
         """Why the frames that would come in a timeout are withheld; empty if none comes."""
         self._changes: list[Change] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from touchd.service.frame_feed import FeedDescription
 from touchd.service.messages import Messages
 from touchd.sources.replay import ReplaySource
 from touchd.sources.simulated import SimulatedSource
-from touchd.sources.source import Labelled
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene
 
@@ -44,25 +44,15 @@ def test_plate(plate: Plate | None) -> None:
     assert (read.emitter_mm, read.receivers_mm) == ((30.0, 100.0), [(1.0, 2.0), (3.0, 4.0)])
 
 
-class Scripted:
-    """Labels of a few frames."""
-
-    def __init__(self, *truth: list[tuple[float, float]]) -> None:
-        self._truth = list(truth)
-
-    def truth(self) -> list[tuple[float, float]]:
-        return self._truth.pop(0)
-
-
 def test_truth() -> None:
     """The truth is told in each touched frame and once after it, and not at all unless somebody wants it."""
     frame = Frame(np.zeros((4, 500), np.int16), 7, 1_000, 1_000)
-    source, wanted = Scripted([], [(1.0, 2.0)], [], []), messages("truth")
+    source, wanted = Mock(truth=Mock(side_effect=[[], [(1.0, 2.0)], [], []])), messages("truth")
     said = [wanted.truth(frame, source) for _ in range(4)]
     assert [one and one.contacts_mm for one in said] == [None, [(1.0, 2.0)], [], None]
     assert isinstance(said[1], TruthEvent)
     assert DECODERS["truth"].decode(encode(said[1])) == said[1]
-    assert messages("touch").truth(frame, Scripted([(1.0, 2.0)])) is None
+    assert messages("touch").truth(frame, source) is None
 
 
 def test_sources_know_it(instrument: Instrument, tmp_path: Path) -> None:
@@ -72,8 +62,6 @@ def test_sources_know_it(instrument: Instrument, tmp_path: Path) -> None:
     write(path, recording, compress=False)
     replay = ReplaySource(path, speed=float("inf"))
     twin = SimulatedSource("circle", frames=180, paced=False, loop=False, instrument=instrument)
-    assert isinstance(replay, Labelled)
-    assert isinstance(twin, Labelled)
     told = []
     for _ in range(180):
         assert replay.read(10.0) is not None

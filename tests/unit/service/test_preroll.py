@@ -20,7 +20,7 @@ from touchd.config.schema import PreRollSettings
 from touchd.event import Contact
 from touchd.files import state_folder
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.recording.data import Act, Recording
+from touchd.recording.data import Act, Device, Recording
 from touchd.recording.format import read
 from touchd.service import preroll
 from touchd.service.daemon import recording_meta
@@ -325,7 +325,9 @@ def test_acts() -> None:
     plate = Plate(width_mm=9, height_mm=8)
     meta = describe(ACQUISITION, plate, RATE_HZ, source="usb", notes="a rig")
     source: Any = SimpleNamespace(
-        acquisition=ACQUISITION, meta=meta.model_copy(update={"acts": (Act(name="tap", begin=0, end=9),)})
+        acquisition=ACQUISITION,
+        device=Device(),
+        meta=meta.model_copy(update={"acts": (Act(name="tap", begin=0, end=9),)}),
     )
     found = recording_meta(source, FeedDescription(acquisition=ACQUISITION, rate_hz=RATE_HZ, source="usb", plate=plate))
     assert (found.acts, found.notes) == ((), "a rig")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from touchd.config.schema import DeviceSettings
+from touchd.frame import ACQUISITIONS
 from touchd.outcome import Outcome
 from touchd.service.rate import QUIET_NS, SCREEN_OFF_HZ, ScanRate
 from touchd.sources.source import Source
@@ -97,11 +98,14 @@ def test_clock_back() -> None:
 def test_one_rate() -> None:
     """A source that has one rate keeps it."""
 
-    class Fixed:
+    class Fixed(Source):
+        acquisition = ACQUISITIONS["usb"]
+
         def read(self, timeout_s: float) -> None: ...
 
-    source: Source = Fixed()  # type: ignore[assignment]
-    rate = made(source)
+        def close(self) -> None: ...
+
+    rate = made(Fixed())
     rate.tick(BEGIN_NS + QUIET_NS)
     rate.wake()
 

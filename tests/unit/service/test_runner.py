@@ -12,13 +12,13 @@ import pytest
 from touchd.errors import DeviceLost
 from touchd.frame import Acquisition, Frame
 from touchd.service.runner import READ_TIMEOUT_S, frames_of
-from touchd.sources.source import Change, EndOfStream
+from touchd.sources.source import Change, EndOfStream, Source
 
 PACKAGE = Path(__file__).resolve().parents[3] / "touchd"
 LOST, BACK = Change("lost", "unplugged"), Change("streaming", "frames arrive")
 
 
-class Script:
+class Script(Source):
     """A source that does what is written down: a frame, silence, changes of state, or an error; then it ends."""
 
     def __init__(self, steps: Sequence[int | list[Change] | Exception | None]) -> None:

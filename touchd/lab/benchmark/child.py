@@ -6,7 +6,6 @@ import gc
 import os
 import time
 from collections.abc import Sequence
-from contextlib import nullcontext
 from math import inf
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -22,8 +21,9 @@ from touchd.lab.benchmark.loop import BURST, BareNetwork, Loop, LoopSource
 from touchd.lab.benchmark.stopwatch import Stopwatch, percentiles, spread
 from touchd.outcome import Counters
 from touchd.service import realtime
-from touchd.service.daemon import load_model, make_service
+from touchd.service.daemon import load_model, make_pipeline
 from touchd.service.log import configure
+from touchd.service.loop import Service
 from touchd.service.preroll import PreRoll
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.recorder import describe
@@ -100,12 +100,11 @@ def run(
         os.sched_setaffinity(0, cpus)
     model = load_model(settings)
     source = LoopSource(loop, rate_hz or inf, seconds, burst, begun)
-    with realtime.giving_way() if full_speed else nullcontext():
-        bus = ZeromqSink(settings.bus)
+    bus = ZeromqSink(settings.bus)
     meta = describe(source.acquisition, model.description.plate, rate_hz or 125.0, source="benchmark", device=None)
     preroll = Clocked(rate_hz or 125.0, lambda: meta, settings.preroll)
     preroll.start_clock(source.lead + round(seconds * (rate_hz or 200_000)) + 1)
-    service = make_service(source, [bus], settings, model, preroll=preroll)
+    service = Service(source, [bus], settings, make_pipeline(source, settings, model), preroll=preroll)
     realtime.freeze()
     ready_ns = time.monotonic_ns()
     bus.wait_for_subscriber(PATIENCE_S)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from touchd.frame import Acquisition, Counts, Frame
 from touchd.localization.model import _load as open_session  # so that both share the session options
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, Source
 
 PERIOD_NS = 8_000_000
 """Frame period in the frames' own time at full speed, as at 125 frames/s."""
@@ -41,7 +41,7 @@ class Loop:
         return chain(lead, cycle([*there, *there[-2:0:-1]]))
 
 
-class LoopSource:
+class LoopSource(Source):
     """A source that delivers the frames of a loop when due; the lead-in comes at once.
 
     An infinite `rate_hz` is full speed; `seconds` count after the lead-in. `between` is called every `BURST_EVERY`

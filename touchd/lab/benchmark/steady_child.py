@@ -27,8 +27,9 @@ import numpy as np
 
 from touchd.config.schema import LogSettings, Settings
 from touchd.service import realtime
-from touchd.service.daemon import load_model, make_service
+from touchd.service.daemon import load_model, make_pipeline
 from touchd.service.log import configure
+from touchd.service.loop import Service
 from touchd.service.preroll import PreRoll
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.live import DaqSource
@@ -197,7 +198,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
         preroll = Handed(source.acquisition, *kept)  # type: ignore[arg-type]  # its pre-roll took the geometry first
     preroll.done = []
     stages = {stage: [0, 0] for stage in STAGES}
-    service = make_service(source, [bus], settings, model, preroll=preroll)
+    service = Service(source, [bus], settings, make_pipeline(source, settings, model), preroll=preroll)
     if task["stages"]:
         pipeline = service.pipeline
         owned: dict[str, list[tuple[object, str]]] = {
