@@ -107,13 +107,14 @@ def replacing(path: Path, *, mode: int = 0o644, fix: str = CHECK, fresh: bool = 
     written; nothing is left behind. If `fresh`, a file that is there by then stays: the OutputError's cause is a
     FileExistsError.
     """
-    temporary = ""
+    left: list[str | Path] = []  # what a failure leaves behind
     # Its name is no longer than the file system allows, and no character of it is cut.
     prefix = os.fsencode(path.name)[:_PREFIX_BYTES].decode(errors="ignore")
     try:
         with writing(path, fix):
             # The dot keeps readers of a folder from taking it for one of its files.
             handle, temporary = tempfile.mkstemp(prefix=f".{prefix}.", suffix=".tmp", dir=path.parent)
+            left.append(temporary)
             with os.fdopen(handle, "wb") as file:
                 yield file
                 file.flush()
@@ -121,15 +122,20 @@ def replacing(path: Path, *, mode: int = 0o644, fix: str = CHECK, fresh: bool = 
             os.chmod(temporary, mode)
             if fresh:  # not by a hard link, which a USB stick's file system lacks
                 os.close(os.open(path, os.O_CREAT | os.O_EXCL, mode))
+                left.append(path)
             os.replace(temporary, path)
-            temporary = ""
+            left.clear()
     finally:
-        if temporary:
+        for name in left:
             with suppress(OSError):
-                os.unlink(temporary)
+                os.unlink(name)
     # The new name is safe once the folder is on disk too. Some file systems cannot sync one.
     with suppress(OSError):
-        flush(path.parent)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def is_missing(path: Path) -> bool:
@@ -141,15 +147,6 @@ def is_missing(path: Path) -> bool:
     except OSError:
         pass
     return False
-
-
-def flush(path: str | Path) -> None:
-    """Have a file, or a folder's names, on disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def stamps_of(*paths: Path) -> tuple[tuple[int, int, int] | None, ...]:

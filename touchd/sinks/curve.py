@@ -10,13 +10,14 @@ import os
 import re
 import stat
 import tempfile
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from zmq.auth import create_certificates
 
 from touchd.errors import BusError, ConfigError, OutputError
-from touchd.files import flush, open_file
+from touchd.files import open_file, replacing, writing
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
 _KEY = re.compile(rb"""^\s*(public|secret)-key\s*=\s*"([0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40})"\s*$""", re.MULTILINE)
@@ -42,8 +43,7 @@ def make_files(folder: Path, name: str) -> tuple[Path, Path]:
     if not _NAME.fullmatch(name):
         raise ConfigError("not a name for a key", repr(name), "use letters, digits, dot, dash and underscore")
     public_path, secret_path = folder / f"{name}.key", folder / f"{name}.key_secret"
-    made: list[Path] = []
-    try:
+    with writing(folder), ExitStack() as undo:  # half a pair would block the next attempt
         for path in (public_path, secret_path):
             if path.exists():
                 raise OutputError(
@@ -53,22 +53,11 @@ def make_files(folder: Path, name: str) -> tuple[Path, Path]:
         # zmq.auth writes with the process's umask, over any file of the name: let it do so in a private folder.
         with tempfile.TemporaryDirectory(prefix=".touchd-", dir=folder) as private:
             public, secret = create_certificates(private, name)
-            files = ((secret, secret_path, 0o600), (public, public_path, 0o644))
-            for source, _, mode in files:
-                os.chmod(source, mode)
-                flush(source)  # a full disk may refuse only now what it has accepted
-            for source, path, _ in files:
-                os.link(source, path)  # unlike a rename it replaces nothing
-                made.append(path)
-        flush(folder)
-    except OSError as error:
-        for path in made:  # half a pair would block the next attempt
-            path.unlink(missing_ok=True)
-        raise OutputError(
-            f"the key cannot be written ({error.strerror})",
-            str(error.filename2 or error.filename or folder),
-            "check the folder, its permissions and the space left",
-        ) from error
+            for source, path, mode in ((secret, secret_path, 0o600), (public, public_path, 0o644)):
+                with replacing(path, mode=mode, fresh=True) as file:
+                    file.write(Path(source).read_bytes())
+                undo.callback(path.unlink)
+        undo.pop_all()
     return public_path, secret_path
 
 

@@ -151,15 +151,17 @@ def test_keygen_in_a_folder_that_is_not_ones_own(tmp_path: Path, monkeypatch: py
         curve.make_files(tmp_path, "kiosk")
 
 
-@pytest.mark.parametrize("call", ["fsync", "link"])
-def test_keygen_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
+@pytest.mark.parametrize(("call", "second"), [("fsync", 3), ("replace", 2)])
+def test_keygen_on_a_full_disk_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, second: int
+) -> None:
     """When the disk is full at any moment no half of a pair stays, and the next attempt works."""
     really, calls = getattr(os, call), 0
 
     def full(*arguments: object) -> object:
         nonlocal calls
         calls += 1
-        if calls == 2:  # the second file
+        if calls == second:  # of the second file: the folder is flushed after the first
             raise OSError(errno.ENOSPC, "No space left on device")
         return really(*arguments)
 
