@@ -127,23 +127,17 @@ def _measure_steady(quick: bool, against: Path | None, stored: Path | None) -> N
 
 
 def _measured(quick: bool, models: Path | None, also: tuple[Path, ...]) -> Run:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
+    from touchd.cli.progress import Bars
     from touchd.lab.benchmark.measure import benchmark
     from touchd.localization.model import default_model_path
 
-    columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
     # The bar draws on progress only: a refresh thread would disturb the measurement.
-    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as bar:
-        task = bar.add_task("", total=1.0)
+    with Bars(auto_refresh=False) as bars:
 
         def progress(what: str, done: float) -> None:
-            bar.update(task, description=what, completed=done, refresh=True)
+            bars.update("measure", round(100 * done), 100, what)
 
-        run = benchmark(models or default_model_path().parent, quick=quick, progress=progress, also=also)
-        progress("done", 1.0)
-    return run
+        return benchmark(models or default_model_path().parent, quick=quick, progress=progress, also=also)
 
 
 def _show(console: Console, run: Run, other: Run | None) -> None:

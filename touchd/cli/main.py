@@ -18,7 +18,7 @@ from touchd import __version__
 from touchd.cli.options import PATH, NumberRange, chosen, source_options
 from touchd.cli.output import discard, say
 from touchd.errors import ConfigError, MissingExtra, ModelMissing, OutputError, TouchdError
-from touchd.service.signals import deliver, held, unwound
+from touchd.service.signals import deliver, unwound
 
 if TYPE_CHECKING:
     from touchd.config.schema import Settings
@@ -119,7 +119,6 @@ def touchd(
         deliver()  # they end a verb
         ctx.with_resource(unwound())  # a daemon has a handler of its own
         return
-    ctx.with_resource(held())  # before all that takes its time to import
     import structlog
 
     from touchd.config.load import Retired, empty_file, load

@@ -24,16 +24,18 @@ _SPEED_S = 3600.0
 class Bars:
     """Bars on standard error, one for each part of a job, with the time left.
 
-    They appear with the first step, so that an earlier error prints one line.
+    They appear with the first step, so that an earlier error prints one line. Without `auto_refresh` they are drawn at
+    steps alone, by no thread.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic, *, auto_refresh: bool = True) -> None:
         self._bar = Progress(
             TextColumn("{task.description:8}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
             TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True),
-            get_time=clock, speed_estimate_period=_SPEED_S,
+            get_time=clock, speed_estimate_period=_SPEED_S, auto_refresh=auto_refresh,
         )  # fmt: skip
         self._tasks: dict[str, TaskID] = {}
+        self._at_steps = not auto_refresh
 
     def __enter__(self) -> Bars:
         return self
@@ -49,7 +51,7 @@ class Bars:
         self._bar.start()
         if what not in self._tasks:
             self._tasks[what] = self._bar.add_task(what, note="")
-        self._bar.update(self._tasks[what], completed=done, total=steps, note=note)
+        self._bar.update(self._tasks[what], completed=done, total=steps, note=note, refresh=self._at_steps)
 
     def warn(self, note: str) -> None:
         """Print a warning, clear of the bars."""

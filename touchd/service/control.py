@@ -45,9 +45,7 @@ def path_of(settings: ControlSettings) -> Path | None:
 def send(path: Path, command: str) -> None:
     """Send a command to the daemon that listens at `path`; BusError if none does, or this user may not command it."""
     try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-            sender.settimeout(_PATIENCE_S)
-            sender.sendto(command.encode("ascii"), str(path))
+        converse(path, command.encode("ascii")).close()
     except OSError as error:
         raise BusError(
             f"no daemon takes commands there ({error.strerror or error})",

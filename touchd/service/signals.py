@@ -23,22 +23,12 @@ def stops() -> list[signal.Signals]:
     return [signal.SIGINT, signal.SIGTERM, *hangup]
 
 
-def hold() -> set[int]:
-    """Let SIGHUP and SIGUSR1 wait until `deliver`: a daemon that starts would end of them. Return the mask before.
+def hold() -> None:
+    """Let SIGHUP and SIGUSR1 wait until `deliver`: a daemon that starts would end of them.
 
     Those of the interpreter's own start, some 20 ms, still end it.
     """
-    return signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
-
-
-@contextmanager
-def held() -> Iterator[None]:
-    """Let both wait, within this context, until `deliver`."""
-    before = hold()
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
 
 
 def deliver() -> None:

@@ -34,11 +34,11 @@ from touchd.frame import Frame
 from touchd.localization.atlas import Atlas
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
-from touchd.recording.data import Meta, Recording
+from touchd.recording.data import Meta
 from touchd.recording.format import write
 from touchd.service.frame_feed import DaemonSource, open_daemon
 from touchd.service.runner import frames_of
-from touchd.sources.recorder import describe
+from touchd.sources.recorder import describe, recording_of
 from touchd.training.field.place import place
 
 TOUCHED_FRAMES = 3
@@ -117,24 +117,22 @@ def take_untouched(
     """Write frames that nobody touches to `path`; Stopped if `stop` was set, BusError if the daemon has ended."""
     pipeline = Pipeline(source.acquisition, None, Settings())
     wanted = max(round(seconds * source.description.rate_hz), 1)
-    counts = np.empty((wanted, *source.acquisition.shape), np.int16)
-    sequence, t_ns = np.empty(wanted, np.int64), np.empty(wanted, np.int64)
-    kept = touched = 0
+    kept: list[Frame] = []
+    touched = 0
     for frame in frames_until(stop, source, "the seconds begin again once it runs"):
         outcome = pipeline.process(frame).outcome
         touched = touched + 1 if outcome is Outcome.UNCALIBRATED else 0
         if touched >= TOUCHED_FRAMES:
-            kept = 0
+            kept.clear()
             progress(0.0, FINGER)
             continue
-        if kept and frame.sequence <= sequence[kept - 1]:  # the device restarted
-            kept = 0
-        counts[kept], sequence[kept], t_ns[kept] = frame.counts, frame.sequence, frame.t_ns
-        kept += 1
-        if kept % 16 == 0:
-            progress(kept / wanted, "")
-        if kept == wanted:
-            write(path, Recording(meta_of(source, said), counts, sequence, t_ns - t_ns[0]))
+        if kept and frame.sequence <= kept[-1].sequence:  # the device restarted
+            kept.clear()
+        kept.append(frame.copy())
+        if len(kept) % 16 == 0:
+            progress(len(kept) / wanted, "")
+        if len(kept) == wanted:
+            write(path, recording_of(meta_of(source, said), kept, kept[0].t_ns))
             return
 
 
