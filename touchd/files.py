@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from touchd.errors import ConfigError, OutputError, TouchdError
+from touchd.errors import AddressInUse, ConfigError, OutputError, TouchdError
 
 CHECK = "check folder, space and permissions"
 _PREFIX_BYTES = 100
@@ -161,24 +161,32 @@ def stamps_of(*paths: Path) -> tuple[tuple[int, int, int] | None, ...]:
     return tuple(found)
 
 
-def clear_socket(path: Path, kind: socket.SocketKind) -> None:
-    """Remove the socket file of a process that is gone, and nothing else.
+def clear_socket(path: Path, kind: socket.SocketKind, where: str, fix: str, refused: type[TouchdError]) -> None:
+    """Remove the socket file of a process that is gone, and nothing else; `where` and `fix` are for the message.
 
-    Raises OSError: with EADDRINUSE if a process listens there, with ENOTSOCK if something else than a socket is there.
+    Raises AddressInUse if a process listens there, or the socket is another user's; `refused` if the path cannot be
+    used.
     """
     try:
         if not stat.S_ISSOCK(path.lstat().st_mode):
-            raise OSError(errno.ENOTSOCK, os.strerror(errno.ENOTSOCK), str(path))
+            raise refused("there is something else than a socket, and it is not replaced", where, fix)
         with socket.socket(socket.AF_UNIX, kind | socket.SOCK_NONBLOCK) as probe:
-            probe.connect(str(path))
+            try:
+                probe.connect(str(path))
+            except ConnectionRefusedError:
+                path.unlink(missing_ok=True)
+                return
+            except BlockingIOError:  # a live publisher may have a full queue
+                pass
     except FileNotFoundError:
         return
-    except ConnectionRefusedError:
-        path.unlink(missing_ok=True)
-        return
-    except BlockingIOError:  # a live publisher may have a full queue
-        pass
-    raise OSError(errno.EADDRINUSE, os.strerror(errno.EADDRINUSE), str(path))
+    except OSError as error:
+        if error.errno == errno.EACCES and os.path.lexists(path):
+            raise AddressInUse(
+                "a socket of another user lies there", where, f"stop its owner and remove it, or {fix}"
+            ) from error
+        raise refused(f"the socket cannot be used ({error.strerror or error})", where, fix) from error
+    raise AddressInUse("another process listens there", where, f"stop it (is it running already?), or {fix}")
 
 
 @contextmanager

@@ -126,37 +126,30 @@ def _load(archive: zipfile.ZipFile, key: str, info: zipfile.ZipInfo, path: Path)
         with archive.open(info) as member:
             # numpy reads a header of any length into memory: it gets the first bytes alone.
             head = io.BytesIO(member.read(_HEADER_BYTES))
-            dtype, shape, fortran = _header(head, where)
+            dtype, shape = _header(head, where)
             claimed_bytes, held_bytes = math.prod(shape) * dtype.itemsize, info.file_size - head.tell()
             if claimed_bytes != held_bytes:
                 problem = f"claims {dtype} of shape {shape}, {claimed_bytes} bytes, but holds {held_bytes}"
                 raise RecordingShape(problem, where, "write the recording again")
-            array = np.empty(shape[::-1] if fortran else shape, dtype)
-            data = array.reshape(-1).view(np.uint8).data if claimed_bytes else memoryview(b"")
-            part, done = head.read(), 0
-            while part:  # to the end of the member, where its checksum is compared
-                data[done : done + len(part)] = part
-                done += len(part)
-                part = member.read(_READ_BYTES)
-            if done < claimed_bytes:
-                _truncated(path, f"'{key}' ends early")
+        # Of odd escapes, old names of types, and Python 2.
+        with warnings.catch_warnings(action="ignore"), archive.open(info) as member:
+            array = npy.read_array(member, allow_pickle=False, max_header_size=_HEADER_BYTES)
+            member.read(1)  # the end, where its checksum is compared
     except MemoryError as error:
         raise too_large(path) from error
     except _DAMAGE as error:
         _truncated(path, f"'{key}' is damaged", error)
-    if fortran:
-        array = array.T
     return np.ascontiguousarray(array, dtype.newbyteorder("=")).reshape(shape)
 
 
-def _header(head: io.BytesIO, where: str) -> tuple[np.dtype[Any], tuple[int, ...], bool]:
-    """Return an array's type, its shape, and whether it is in Fortran order. `head` then stands behind the header."""
+def _header(head: io.BytesIO, where: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    """Return an array's type and shape. `head` then stands behind the header."""
     fix = "write the recording with numpy.savez"
     try:
         with warnings.catch_warnings(action="ignore"):  # of odd escapes, old names of types, and Python 2
             version, _ = npy.read_magic(head)
             read = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0, 3: npy.read_array_header_2_0}[version]
-            shape, fortran, dtype = read(head, max_header_size=_HEADER_BYTES)
+            shape, _, dtype = read(head, max_header_size=_HEADER_BYTES)
     except Exception as error:  # numpy documents ValueError; its parsers raise a dozen other classes
         raise RecordingShape("has a malformed array header", where, fix) from error
     if dtype.hasobject:
@@ -167,7 +160,7 @@ def _header(head: io.BytesIO, where: str) -> tuple[np.dtype[Any], tuple[int, ...
         raise RecordingShape("has a malformed array header", where, fix)
     if dtype.kind not in _KINDS:
         raise RecordingShape(f"is of type {str(dtype)[:40]!r}, which no key of a recording has", where, fix)
-    return dtype, shape, fortran
+    return dtype, shape
 
 
 def _truncated(path: Path, problem: str, error: Exception | None = None) -> NoReturn:

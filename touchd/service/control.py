@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import array
 import contextlib
-import errno
 import grp
 import os
 import socket
@@ -17,7 +16,7 @@ import struct
 from pathlib import Path
 
 from touchd.config.schema import ControlSettings
-from touchd.errors import AddressInUse, BusError, BusTimeout, ConfigError, ModelError
+from touchd.errors import BusError, BusTimeout, ConfigError, ModelError
 from touchd.files import clear_socket, one_at_a_time, private_socket, runtime_folder
 from touchd.sinks.throttle import Throttle
 
@@ -121,7 +120,7 @@ class Control:
         self._asking: list[socket.socket] = []
         self._refused = Throttle("no such command, or not for this user")
         with one_at_a_time(path.parent):
-            _clear(path)
+            clear_socket(path, socket.SOCK_DGRAM, f"control.socket {path}", "set another control.socket", ConfigError)
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
             try:
@@ -191,19 +190,3 @@ def _unpack(ancillary: list[tuple[int, int, bytes]]) -> tuple[int, list[socket.s
                 except OSError:  # no socket
                     os.close(fd)
     return uid, handed
-
-
-def _clear(path: Path) -> None:
-    """Remove the socket of a dead daemon, and nothing else."""
-    try:
-        clear_socket(path, socket.SOCK_DGRAM)
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise AddressInUse(
-                "another process takes commands there", str(path), "stop it (is the daemon running already?), or set "
-                "another control.socket",
-            ) from error  # fmt: skip
-        what, fix = f"cannot be made ({error.strerror or error})", "check the path and its owner"
-        if error.errno == errno.ENOTSOCK:
-            what, fix = "there is something else than a socket", "name another path"
-        raise ConfigError(what, f"control.socket {path}", fix) from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import grp
 import ipaddress
 import os
@@ -12,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from touchd.errors import AddressInUse, BusError, InsecureBind
+from touchd.errors import BusError, InsecureBind
 from touchd.files import clear_socket, one_at_a_time, private_socket, runtime_folder
 
 if TYPE_CHECKING:  # subscribers do without its 16 MB
@@ -112,7 +111,8 @@ def private_file(address: str, group: str) -> Iterator[None]:
         raise BusError("a socket file needs a path", address, "write ipc:///run/touchd/bus, for example")
     gid = _group_id(address, group) if group else None
     with one_at_a_time(path.parent):
-        _refuse_taken(address, path)
+        # libzmq would unlink the file without asking.
+        clear_socket(path, socket.SOCK_STREAM, address, "set another bus.bind", BusError)
         try:
             with private_socket(path, gid):
                 yield
@@ -131,23 +131,3 @@ def _group_id(address: str, group: str) -> int:
         raise BusError(
             f"there is no group {group!r}", address, f"correct bus.ipc_group, or create it: groupadd {group}"
         ) from None
-
-
-def _refuse_taken(address: str, path: Path) -> None:
-    """Raise if somebody listens at the path: libzmq would unlink the file without asking."""
-    try:
-        clear_socket(path, socket.SOCK_STREAM)
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise AddressInUse(
-                "another process publishes there", address, "stop it (is the daemon running already?), or set another "
-                "bus.bind",
-            ) from error  # fmt: skip
-        if error.errno == errno.EACCES and os.path.lexists(path):
-            raise AddressInUse(
-                "a socket of another user lies there", address, "stop its owner and remove it, or bind elsewhere"
-            ) from error
-        what = f"the socket cannot be used ({error.strerror or error})"
-        if error.errno == errno.ENOTSOCK:
-            what = "there is something else than a socket, and it is not replaced"
-        raise BusError(what, address, "bind elsewhere, or move it away") from error

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
-import errno
 import json
 import os
 import socket
@@ -23,7 +22,7 @@ from touchd.calibration.wizard import MOST_BYTES
 from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_crosses, take_untouched
 from touchd.calibration.wizard.models import Trial, fit, train
 from touchd.calibration.wizard.state import State, collect, compare, tell, undo
-from touchd.errors import AddressInUse, BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
+from touchd.errors import BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.files import clear_socket, private_socket
 from touchd.service.signals import stops
 from touchd.service.systemd import Notifier
@@ -259,18 +258,13 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
                 writer.write(json.dumps(answer).encode() + b"\n")
                 await writer.drain()
 
+    fix = "name another place with --socket"
+    clear_socket(path, socket.SOCK_STREAM, str(path), fix, OutputError)
     try:
-        clear_socket(path, socket.SOCK_STREAM)
         with private_socket(path, None):
             server = await asyncio.start_unix_server(converse, path, limit=MOST_BYTES)
     except OSError as error:
-        fix = "name another place with --socket"
-        if error.errno == errno.EADDRINUSE:
-            raise AddressInUse("another wizard listens there", str(path), f"stop it, or {fix}") from error
-        what = f"no socket can be made there ({error.strerror or error})"
-        if error.errno == errno.ENOTSOCK:
-            what = "there is something else than a socket"
-        raise OutputError(what, str(path), fix) from error
+        raise OutputError(f"no socket can be made there ({error.strerror or error})", str(path), fix) from error
     loop = asyncio.get_running_loop()
     for number in stops():
         loop.add_signal_handler(number, ended.set)

@@ -490,7 +490,7 @@ def test_two_at_one_socket(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         other.bind(str(path))
         other.listen()
         assert main(["wizard", "--socket", str(path), "--folder", str(tmp_path / "state")]) == 41
-        assert "another wizard listens there" in capsys.readouterr().err
+        assert "another process listens there" in capsys.readouterr().err
         assert path.exists()
 
 
