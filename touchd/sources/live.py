@@ -35,7 +35,6 @@ _JOIN_S = 0.5
 _DIRECT_HZ, _STEADY_FRAMES = 250, 8
 """Up to this rate the caller of `read` reads the device itself once 8 frames have come: a device keeps a few for it."""
 _STALL_FRAMES = 3  # that a stalled device has left out, however low its rate
-_MAX_DOUBLINGS = 10  # of the delay between connections; by far enough to reach `max_retry_s`
 
 log = structlog.get_logger()
 
@@ -76,7 +75,7 @@ class DaqSource(Source):
         self._state: State = "starting"
         self._reason, self._direct, self._wanted = "", direct, False
         self._alive_ns = self._seen_ns = clock()
-        self._fruitless = 0  # connections in a row that brought no frame
+        self._delay_s = 0.0  # before the next look for a device; grows until a frame comes
         self._clock_fault: str | None = None
         self._error: TouchdError | None = None
         self._closing = threading.Event()
@@ -165,15 +164,13 @@ class DaqSource(Source):
     def _connect(self) -> Daq | None:
         """Wait for a device that fits, and return it; None once the source is closed."""
         retry_s, max_retry_s = self._waits.retry_s, self._waits.max_retry_s
-        delay_s = min(retry_s * 2**self._fruitless, max_retry_s) if self._fruitless else 0.0
-        self._fruitless = min(self._fruitless + 1, _MAX_DOUBLINGS)
-        while not self._closing.wait(delay_s):
+        while not self._closing.wait(self._delay_s):
             self._alive_ns = self._clock()
+            self._delay_s = min(max(retry_s, 1.5 * self._delay_s), max_retry_s)
             try:
                 daq = self._search.find()
             except (DaqAbsent, DaqGone) as absent:
                 self._enter("lost", str(absent))
-                delay_s = min(max(retry_s, 1.5 * delay_s), max_retry_s)
                 continue
             self.device, rate_hz = daq.device, self._settings.rate_hz
             log.info("device opened", serial=self.device.serial, firmware=self.device.firmware, rate_hz=rate_hz)
@@ -196,8 +193,8 @@ class DaqSource(Source):
                 self._take(frame, now_ns)
                 self._seen_ns, restarted = now_ns, False
                 frames += 1
-                if self._fruitless:
-                    self._fruitless = 0
+                if self._delay_s:
+                    self._delay_s = 0.0
                     self._search.keep()
                 # Not to a caller that is busy: the device would keep a few frames for it, the ring keeps many.
                 if self._direct and self._wanted and frames >= _STEADY_FRAMES and self._settings.rate_hz <= _DIRECT_HZ:

@@ -32,35 +32,47 @@ class _Wish(BaseModel):
     recipe: str
 
 
-class _Kept(BaseModel):
-    """The fields as far as the wizard relies on them; a file of another version may lack some and have others.
+class Known(BaseModel):
+    """What the wizard knows; a file of another version may lack some fields and have others.
 
     Paths in texts may be no Unicode, which pydantic refuses: texts that are only shown are not checked.
     """
 
     running: Literal["untouched", "fit", "crosses", "taps", "train"] | None = None
     share: float = 0.0
+    note: Any = ""
+    problem: Any = ""
+    fix: Any = ""
     plate: Table | None = None
     untouched: bool = False
     result: Table | None = None
     taps: list[_Tap] = []
+    """The good ones: number and place of the target, where the finger was found, and the chunk with its frames."""
     again: list[tuple[int, int]] = []
+    """Numbers of targets that come again, each with the count of good taps from which on."""
     next: int = 0
     target_mm: Place | None = None
     last: Table | None = None
     told: Table | None = None
     runs: str = ""
+    """This and `before` are those of `Trial`."""
     before: str | None = None
     compared: Table | None = None
     cross: Table | None = None
     mapping: _Mapping | None = None
+    """Where the configuration has the screen."""
     expected: Table | None = None
+    """Map of the expected error."""
     log: list[Any] = []
     training: _Wish | None = None
+    """What to train on and how."""
     trained: Table | None = None
+    """What came of it."""
+    untrainable: Any = ""
+    """Why this computer cannot train."""
 
     @model_validator(mode="after")
-    def _knows_what_to_train(self) -> _Kept:
+    def _knows_what_to_train(self) -> Known:
         if self.running == "train" and self.training is None:
             raise ValueError("a training runs, and on which recording is missing")
         return self
@@ -79,7 +91,7 @@ def read_kept(path: Path) -> dict[str, Any]:
         return {}
     try:
         found: dict[str, Any] = json.loads(content)
-        _Kept.model_validate(found)
+        Known.model_validate(found)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"

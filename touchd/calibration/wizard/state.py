@@ -20,7 +20,7 @@ from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.calibration.taps import ORIENTATIONS, refine, taps_of, told_by
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
 from touchd.calibration.wizard.frames import Tapped, Tapper, frames_until, meta_of, refuse_keypad
-from touchd.calibration.wizard.kept import read_kept
+from touchd.calibration.wizard.kept import Known, read_kept
 from touchd.errors import OutputError, PlateFileInvalid, TouchdError
 from touchd.files import replacing, writing
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
@@ -29,17 +29,7 @@ from touchd.recording.format import read, write
 from touchd.service.frame_feed import DaemonSource
 
 log = structlog.get_logger()
-NOTHING: dict[str, Any] = {
-    "running": None, "share": 0.0, "note": "", "problem": "", "fix": "", "plate": None, "untouched": False,
-    "result": None, "taps": [], "again": [], "next": 0, "target_mm": None, "last": None, "told": None,
-    "runs": "", "before": None, "compared": None, "cross": None, "mapping": None, "expected": None,
-    "log": [], "training": None, "trained": None, "untrainable": "",
-}  # fmt: skip
-"""`running` is `untouched`, `fit`, `crosses`, `taps`, `train` or None; `taps` are the good taps: number and place of
-the target, where the finger was found, and the chunk with its frames; `again` are numbers of targets that come again,
-each with the count of good taps from which on; `mapping` is where the configuration has the screen; `expected` is the
-map of the expected error; `runs` and `before` are those of `Trial`; `training` is what to train on and how, `trained`
-what came of it, and `untrainable` why this computer cannot."""
+NOTHING = Known().model_dump()
 _FLEETING = frozenset({"share", "note", "log"})
 _OF_TAPS = ("taps", "again", "next", "target_mm", "last", "told", "expected", "compared")
 _LASTING = ("plate", "mapping", "training", "trained", "untrainable", "runs", "before")
