@@ -76,8 +76,10 @@ class Area:
         | leaves the screen | clamped to it, or dropped if `border` is `lift` |
         | turns into an ignored kind while it is shown | dropped |
         """
-        found, fates = {}, self._fates
-        (left_mm, top_mm), (a, b, c, d) = self._corner_mm, self._axes
+        found, fates, ignored = {}, self._fates, self._settings.ignore
+        (left_mm, top_mm), (a, b, c, d), (wide_mm, high_mm) = self._corner_mm, self._axes, self.size_mm
+        # No calls for the usual finger, which is shown and stays: from one message to the next the caches run cold, and
+        # a call takes 2 us.
         for number, contact in down.items():
             from_left, from_top = contact.x_mm - left_mm, contact.y_mm - top_mm
             x_mm, y_mm = a * from_left + b * from_top, c * from_left + d * from_top
@@ -88,7 +90,10 @@ class Area:
             elif self._turns:
                 angle_deg = (angle_deg - 90 * self._turns + 90.0) % 180.0 - 90.0
             place = Place(x_mm, y_mm, a * vx + b * vy, c * vx + d * vy, angle_deg, contact)
-            if self._judge(number, place, t_ns) == "shown":
+            inside = 0.0 <= x_mm <= wide_mm and 0.0 <= y_mm <= high_mm
+            if (inside and contact.kind not in ignored and fates.get(number) == "shown") or (
+                self._judge(number, place, t_ns) == "shown"
+            ):
                 found[number] = place
         if len(fates) > len(down):
             self._fates = {number: fates[number] for number in down}

@@ -25,6 +25,7 @@ ABS_X, ABS_Y, ABS_PRESSURE = 0x00, 0x01, 0x18
 ABS_MT_SLOT, ABS_MT_TRACKING_ID, ABS_MT_PRESSURE = 0x2F, 0x39, 0x3A
 ABS_MT_POSITION_X, ABS_MT_POSITION_Y = 0x35, 0x36
 ABS_MT_TOUCH_MAJOR, ABS_MT_TOUCH_MINOR, ABS_MT_ORIENTATION = 0x30, 0x31, 0x34
+_SIZE = ABS_MT_TOUCH_MAJOR, ABS_MT_TOUCH_MINOR, ABS_MT_ORIENTATION
 PER_MM = 100
 """Units of a position or length: hundredths of a millimetre."""
 PRESSURE_MAX = 1000
@@ -161,12 +162,16 @@ def number_of(name: str) -> int:
     return int(name.removeprefix("input") or 0)
 
 
-_AT = (
-    ABS_MT_POSITION_X, ABS_MT_POSITION_Y, ABS_MT_PRESSURE,
-    ABS_MT_TOUCH_MAJOR, ABS_MT_TOUCH_MINOR, ABS_MT_ORIENTATION,
-)  # fmt: skip
-InputEvent = tuple[int, int, int]
-"""Type, code and value."""
+def _head(kind: int, code: int) -> bytes:
+    """Return a `struct input_event` without its value; the kernel sets the time."""
+    return struct.pack("@llHH", 0, 0, kind, code)
+
+
+_SLOT, _ID, _TOUCHED = _head(EV_ABS, ABS_MT_SLOT), _head(EV_ABS, ABS_MT_TRACKING_ID), _head(EV_KEY, BTN_TOUCH)
+_AT = tuple(_head(EV_ABS, code) for code in (ABS_MT_POSITION_X, ABS_MT_POSITION_Y, ABS_MT_PRESSURE, *_SIZE))
+_POINTER = tuple(_head(EV_ABS, code) for code in (ABS_X, ABS_Y, ABS_PRESSURE))
+_REPORT = _head(EV_SYN, SYN_REPORT)
+_one, _two, _three, _five, _seven = (struct.Struct("@" + f"{len(_SLOT)}si" * n).pack for n in (1, 2, 3, 5, 7))
 
 
 class Finger(Struct, gc=False):
@@ -204,13 +209,14 @@ def encode(slots: Slots, fingers: Mapping[int, Finger]) -> tuple[bytes, Slots]:
     the frame. A slot that this frame frees is taken by no finger of this frame: a reader that looks at each frame's
     end alone would take both for one.
     """
-    events: list[InputEvent] = []
+    events = []
     after: Slots = {}
     for number, slot in slots.items():
         if number in fingers:
             after[number] = slot
         else:
-            events += [(EV_ABS, ABS_MT_SLOT, slot), (EV_ABS, ABS_MT_TRACKING_ID, LIFTED)]
+            events.append(_two(_SLOT, slot, _ID, LIFTED))
+    x, y, pressure, major, minor, angle = _AT
     for number, one in fingers.items():
         own = after.get(number)
         if own is None:
@@ -218,23 +224,23 @@ def encode(slots: Slots, fingers: Mapping[int, Finger]) -> tuple[bytes, Slots]:
             if not free:
                 continue
             own = after[number] = min(free)
-            events += [(EV_ABS, ABS_MT_SLOT, own), (EV_ABS, ABS_MT_TRACKING_ID, number & 0xFFFF)]
-        events.append((EV_ABS, ABS_MT_SLOT, own))
-        events += [
-            (EV_ABS, code, value) for code, value in zip(_AT, (one.x, one.y, one.pressure, *one.size), strict=True)
-        ]
-    events.append((EV_KEY, BTN_TOUCH, int(bool(after))))
+            events.append(_two(_SLOT, own, _ID, number & 0xFFFF))
+        long, short, turned = one.size
+        events.append(
+            _seven(_SLOT, own, x, one.x, y, one.y, pressure, one.pressure, major, long, minor, short, angle, turned)
+        )
+    x, y, pressure = _POINTER
     if after:
         oldest = fingers[min(after)]
-        events += [(EV_ABS, ABS_X, oldest.x), (EV_ABS, ABS_Y, oldest.y), (EV_ABS, ABS_PRESSURE, oldest.pressure)]
+        events.append(_five(_TOUCHED, 1, x, oldest.x, y, oldest.y, pressure, oldest.pressure, _REPORT, 0))
     else:
-        events.append((EV_ABS, ABS_PRESSURE, 0))
-    return pack(*events, (EV_SYN, SYN_REPORT, 0)), after
+        events.append(_three(_TOUCHED, 0, pressure, 0, _REPORT, 0))
+    return b"".join(events), after
 
 
-def pack(*events: InputEvent) -> bytes:
-    """Return events as `struct input_event`; the kernel sets their times."""
-    return struct.pack("@" + "llHHi" * len(events), *(field for event in events for field in (0, 0, *event)))
+def pack(*events: tuple[int, int, int]) -> bytes:
+    """Return the bytes of events, each its type, code and value."""
+    return b"".join([_one(_head(kind, code), value) for kind, code, value in events])
 
 
 def lift_all() -> bytes:
