@@ -119,6 +119,7 @@ class Service:
     def _run_frames(self) -> None:
         pipeline, preroll, feed, rate = self.pipeline, self._preroll, self._feed, self._rate
         source = self._source
+        labelled = type(source).truth is not Source.truth
         for frame in frames_of(source, on_change=self._follow):
             if frame is None:
                 self._wait()
@@ -128,7 +129,7 @@ class Service:
                 result = pipeline.process(frame)
                 if result.contacts or result.touches:
                     self._publish(result, frame.received_ns)
-                if (true := self._messages.truth(frame, source)) is not None:
+                if labelled and (true := self._messages.truth(frame, source)) is not None:
                     self._hand(true, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
