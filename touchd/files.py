@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import grp
 import os
 import re
 import socket
@@ -161,12 +162,42 @@ def stamps_of(*paths: Path) -> tuple[tuple[int, int, int] | None, ...]:
     return tuple(found)
 
 
-def clear_socket(path: Path, kind: socket.SocketKind, where: str, fix: str, refused: type[TouchdError]) -> None:
-    """Remove the socket file of a process that is gone, and nothing else; `where` and `fix` are for the message.
+@contextmanager
+def socket_file(
+    path: Path, kind: socket.SocketKind, group: str, where: str, fix: str, refused: type[TouchdError]
+) -> Iterator[None]:
+    """Bind a socket file within this context, in place of that of a process that is gone, and of nothing else.
 
-    Raises AddressInUse if a process listens there, or the socket is another user's; `refused` if the path cannot be
-    used.
+    It has mode 0600 from its first moment. With a group, the group is set first and mode 0660 last. The umask is that
+    of the whole process: bind before other threads make files.
+
+    Raises AddressInUse if a process listens there, or the socket is another user's; `refused` if path or group cannot
+    be used. The messages have `where` and `fix`.
     """
+    try:
+        gid = grp.getgrnam(group).gr_gid if group else None
+    except KeyError:
+        raise refused(f"there is no group {group!r}", where, f"correct it, or create it: groupadd {group}") from None
+    with _one_at_a_time(path.parent):
+        _clear_socket(path, kind, where, fix, refused)
+        umask = os.umask(0o177)
+        try:
+            yield
+        except OSError as error:
+            raise refused(f"no socket can be made there ({error.strerror or error})", where, fix) from error
+        finally:
+            os.umask(umask)
+    try:
+        if gid is not None:
+            if path.stat().st_gid != gid:  # the service's sandbox forbids to ask, and its files have its group
+                os.chown(path, -1, gid)
+            path.chmod(0o660)
+    except OSError as error:
+        what = f"the socket cannot be given to the group {group!r} ({error.strerror})"
+        raise refused(what, where, "run touchd as a member of it") from error
+
+
+def _clear_socket(path: Path, kind: socket.SocketKind, where: str, fix: str, refused: type[TouchdError]) -> None:
     try:
         if not stat.S_ISSOCK(path.lstat().st_mode):
             raise refused("there is something else than a socket, and it is not replaced", where, fix)
@@ -190,7 +221,7 @@ def clear_socket(path: Path, kind: socket.SocketKind, where: str, fix: str, refu
 
 
 @contextmanager
-def one_at_a_time(folder: Path) -> Iterator[None]:
+def _one_at_a_time(folder: Path) -> Iterator[None]:
     """Keep other processes of touchd from looking at and making socket files in a folder meanwhile.
 
     Of two that start at once each would find nothing there, and the second take the file from the first. Whoever holds
@@ -206,21 +237,3 @@ def one_at_a_time(folder: Path) -> Iterator[None]:
                     break
                 time.sleep(_LOCK_PAUSE_S)
         yield
-
-
-@contextmanager
-def private_socket(path: Path, gid: int | None) -> Iterator[None]:
-    """Bind a socket file within this context: it has mode 0600 from its first moment.
-
-    With a group, the group is set first and mode 0660 last. The umask is that of the whole process: bind before other
-    threads make files. Raises OSError if the file cannot be given to the group.
-    """
-    umask = os.umask(0o177)
-    try:
-        yield
-    finally:
-        os.umask(umask)
-    if gid is not None:
-        if path.stat().st_gid != gid:  # the service's sandbox forbids to ask, and its files have its group
-            os.chown(path, -1, gid)
-        path.chmod(0o660)

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import array
 import contextlib
-import grp
 import os
 import socket
 import struct
 from pathlib import Path
 
 from touchd.config.schema import ControlSettings
-from touchd.errors import BusError, BusTimeout, ConfigError, ModelError
-from touchd.files import clear_socket, one_at_a_time, private_socket, runtime_folder
+from touchd.errors import BusError, BusTimeout, ConfigError, ModelError, TouchdError
+from touchd.files import runtime_folder, socket_file
 from touchd.sinks.throttle import Throttle
 
 COMMANDS = ("screen off", "screen on", "reload", "frames")
@@ -119,19 +118,15 @@ class Control:
         """Sockets that came with the commands `frames`, in order: take them from here."""
         self._asking: list[socket.socket] = []
         self._refused = Throttle("no such command, or not for this user")
-        with one_at_a_time(path.parent):
-            clear_socket(path, socket.SOCK_DGRAM, f"control.socket {path}", "set another control.socket", ConfigError)
-            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
-            try:
-                with private_socket(path, grp.getgrnam(group).gr_gid if group else None):
-                    self._socket.bind(str(path))
-            except (OSError, KeyError) as error:
-                self.close()
-                why = f"there is no group {group!r}" if isinstance(error, KeyError) else error.strerror or str(error)
-                raise ConfigError(
-                    f"cannot be made ({why})", f"control.socket {path}", "correct control.socket or control.group"
-                ) from error
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+        where, fix = f"control.socket {path}", "set another control.socket"
+        try:
+            with socket_file(path, socket.SOCK_DGRAM, group, where, fix, ConfigError):
+                self._socket.bind(str(path))
+        except TouchdError:
+            self.close()
+            raise
 
     def poll(self) -> list[str]:
         """Return the commands that have come, in order, without waiting; log and drop what is no command."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import grp
 import ipaddress
 import os
 import socket
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchd.errors import BusError, InsecureBind
-from touchd.files import clear_socket, one_at_a_time, private_socket, runtime_folder
+from touchd.files import runtime_folder, socket_file
 
 if TYPE_CHECKING:  # subscribers do without its 16 MB
     from touchd.config.schema import BusSettings
@@ -96,7 +95,7 @@ def refuse_forbidden(address: str) -> None:
 
 @contextlib.contextmanager
 def private_file(address: str, group: str) -> Iterator[None]:
-    """Bind an `ipc://` address within this context: it refuses a taken path; see `private_socket` for the new file.
+    """Bind an `ipc://` address within this context: it refuses a taken path; see `socket_file` for the new one.
 
     Raises AddressInUse if a live publisher holds the path, BusError if it holds anything else, or the group cannot be
     used.
@@ -109,25 +108,6 @@ def private_file(address: str, group: str) -> Iterator[None]:
         raise BusError(f"a socket's path has at most {_LONGEST_BYTES} bytes", address, "take a shorter path")
     if path.name == "*":
         raise BusError("a socket file needs a path", address, "write ipc:///run/touchd/bus, for example")
-    gid = _group_id(address, group) if group else None
-    with one_at_a_time(path.parent):
-        # libzmq would unlink the file without asking.
-        clear_socket(path, socket.SOCK_STREAM, address, "set another bus.bind", BusError)
-        try:
-            with private_socket(path, gid):
-                yield
-        except OSError as error:
-            raise BusError(
-                f"the socket cannot be given to the group {group!r} ({error.strerror})",
-                address,
-                "run touchd as a member of bus.ipc_group",
-            ) from error
-
-
-def _group_id(address: str, group: str) -> int:
-    try:
-        return grp.getgrnam(group).gr_gid
-    except KeyError:
-        raise BusError(
-            f"there is no group {group!r}", address, f"correct bus.ipc_group, or create it: groupadd {group}"
-        ) from None
+    # libzmq would unlink the file without asking.
+    with socket_file(path, socket.SOCK_STREAM, group, address, "set another bus.bind", BusError):
+        yield

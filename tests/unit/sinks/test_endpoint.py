@@ -66,7 +66,7 @@ def test_another_kind_of_socket(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
         other.bind(str(tmp_path / "control"))
         with (
-            pytest.raises(BusError, match=r"wrong type.* -> bind elsewhere"),
+            pytest.raises(BusError, match=r"wrong type.* -> set another bus.bind"),
             private_file(f"ipc://{tmp_path}/control", ""),
         ):
             pass

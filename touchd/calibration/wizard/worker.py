@@ -23,7 +23,7 @@ from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_cros
 from touchd.calibration.wizard.models import Trial, fit, train
 from touchd.calibration.wizard.state import State, collect, compare, tell, undo
 from touchd.errors import BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
-from touchd.files import clear_socket, private_socket
+from touchd.files import socket_file
 from touchd.service.signals import stops
 from touchd.service.systemd import Notifier
 
@@ -259,12 +259,8 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
                 await writer.drain()
 
     fix = "name another place with --socket"
-    clear_socket(path, socket.SOCK_STREAM, str(path), fix, OutputError)
-    try:
-        with private_socket(path, None):
-            server = await asyncio.start_unix_server(converse, path, limit=MOST_BYTES)
-    except OSError as error:
-        raise OutputError(f"no socket can be made there ({error.strerror or error})", str(path), fix) from error
+    with socket_file(path, socket.SOCK_STREAM, "", str(path), fix, OutputError):
+        server = await asyncio.start_unix_server(converse, path, limit=MOST_BYTES)
     loop = asyncio.get_running_loop()
     for number in stops():
         loop.add_signal_handler(number, ended.set)
