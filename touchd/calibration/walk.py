@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from touchd.frame import Acquisition, Frame, Plate
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Act, Meta, Recording
+from touchd.sources.recorder import recording_of
 
 UNTOUCHED_S = 10.0
 TAPS, THUMBS = 40, 8
@@ -106,13 +108,6 @@ def plan(plate: Plate, untouched_s: float = UNTOUCHED_S) -> tuple[Task, ...]:
     return tuple(acts)
 
 
-class _Kept(NamedTuple):
-    counts: NDArray[np.int16]
-    sequence: int
-    t_ns: int
-    touched: bool
-
-
 class Walk:
     """Takes frames, act by act."""
 
@@ -122,10 +117,10 @@ class Walk:
         """Index of the act in hand; `len(tasks)` at the end."""
         self.asked = 0
         """Counts the times that an act was begun, or begun again on demand."""
-        self._done: dict[int, tuple[Task, list[_Kept], NDArray[np.float32]]] = {}
+        self._done: dict[int, tuple[Task, list[Frame], NDArray[np.float32]]] = {}
         """The complete acts with their frames, and the labels of these, shape (n, 1, 2)."""
         self._pipeline = Pipeline(acquisition, None, Settings())
-        self._try: deque[_Kept] = deque()
+        self._try: deque[tuple[Frame, bool]] = deque()  # and whether it is touched
         self._last = (-1, -1)
         self._run = self._touched = 0
 
@@ -142,7 +137,7 @@ class Walk:
             return ""
         self._run = self._run + 1 if touched else 0
         self._touched += touched
-        self._try.append(_Kept(frame.counts.copy(), frame.sequence, frame.t_ns, touched))
+        self._try.append((frame.copy(), touched))
         task = self.tasks[self.next]
         return self._touch(task) if task.places_mm else self._untouched(task)
 
@@ -170,11 +165,8 @@ class Walk:
                             uncertainty_mm=task.uncertainty_mm))  # fmt: skip
         labels = [label for *_, label in self._done.values()]
         kept = [each for _, frames, _ in self._done.values() for each in frames]
-        t_ns = np.array([each.t_ns for each in kept], np.int64)
-        return Recording(
-            meta.model_copy(update={"acts": tuple(acts)}), np.stack([each.counts for each in kept]),
-            np.array([each.sequence for each in kept], np.int64), t_ns - t_ns[0], contacts_mm=np.concatenate(labels),
-        )  # fmt: skip
+        made = recording_of(meta.model_copy(update={"acts": tuple(acts)}), kept, kept[0].t_ns)
+        return replace(made, contacts_mm=np.concatenate(labels))
 
     def _untouched(self, task: Task) -> str:
         if self._run >= FINGER:
@@ -195,7 +187,7 @@ class Walk:
                 return ""
             self._restart()
             return "take everything off the plate"
-        on = [k for k, each in enumerate(self._try) if each.touched]
+        on = [k for k, (_, touched) in enumerate(self._try) if touched]
         if self._span_s(on[-1]) < AFTER_S:
             return ""
         if on[0] < LEAST_BEFORE or self._span_s(on[0]) - self._span_s(on[-1]) < task.least_s:
@@ -206,14 +198,14 @@ class Walk:
 
     def _span_s(self, index: int) -> float:
         """Return the time from a frame of this try to the last one."""
-        return (self._try[-1].t_ns - self._try[index].t_ns) * 1e-9
+        return (self._try[-1][0].t_ns - self._try[index][0].t_ns) * 1e-9
 
     def _complete(self, task: Task, first: int = 0, last: int = 0) -> None:
         """Keep an act; its frames from `first` to `last` are labelled, a stroke as if its speed were constant."""
         label = np.full((len(self._try), 1, 2), np.nan, np.float32)
         if last > first:
             label[first:last, 0] = np.linspace(task.places_mm[0], task.places_mm[-1], last - first)
-        self._done[self.next] = task, list(self._try), label
+        self._done[self.next] = task, [frame for frame, _ in self._try], label
         self._go(self.next + 1)
 
     def _go(self, act: int) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
+from msgspec.structs import asdict
 
 from touchd.cli.listen import describe
 from touchd.cli.options import PATH, parse_speed
@@ -25,6 +25,7 @@ from touchd.evaluation.replay_scores import score_stream
 from touchd.event import Event, HealthEvent, TouchEvent
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.format import read
+from touchd.service.messages import latency_of
 
 SESSION = Path(__file__).resolve().parent.parent / "demo" / "session.npz"
 """The recording that ships with touchd."""
@@ -70,7 +71,7 @@ def command(recording: Path, as_json: bool, speed: float, model: Path | None) ->
         "ghosts": scores.ghosts,
         "split": scores.split,
         "rmse_mm": round(position_scores(scores.error_mm)["rmse_mm"], 3) if len(scores.error_mm) else None,
-        "latency_us": _percentiles(latency_us),
+        "latency_us": asdict(latency_of(latency_us)) if latency_us else None,
         "inferred": last.inferred,
         "skipped": last.skipped,
     }
@@ -105,13 +106,6 @@ def _received(recording: Path, speed: float, model: Path) -> Iterator[Event]:
             complaints.seek(0)
             said = complaints.read().strip().splitlines() or ["no word"]
             raise BusError(f"the daemon ended with status {daemon.returncode}: {said[-1]}", fix="see the line above")
-
-
-def _percentiles(latency_us: list[float]) -> dict[str, float] | None:
-    if not latency_us:
-        return None
-    p50, p99, highest = np.percentile(latency_us, (50, 99, 100)).round(1).tolist()
-    return {"p50": p50, "p99": p99, "max": highest}
 
 
 def _table(summary: dict[str, Any], recording: Path) -> str:

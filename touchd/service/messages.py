@@ -10,6 +10,7 @@ from itertools import count
 import msgspec
 import numpy as np
 import structlog
+from numpy.typing import NDArray
 
 from touchd import __version__
 from touchd.config.schema import HealthSettings, Settings
@@ -215,7 +216,9 @@ class Health:
     def _take_latency(self) -> Latency:
         latencies_us = self._latencies_us[: min(self._sent, _LATENCIES)]
         self._sent = 0
-        if not len(latencies_us):
-            return Latency()
-        p50, p99, highest = np.percentile(latencies_us, (50, 99, 100)).round(1).tolist()
-        return Latency(p50, p99, highest)
+        return latency_of(latencies_us) if len(latencies_us) else Latency()
+
+
+def latency_of(latencies_us: list[float] | NDArray[np.float32]) -> Latency:
+    """Return the percentiles of latencies in microseconds, of which there is at least one."""
+    return Latency(*np.percentile(latencies_us, (50, 99, 100)).round(1).tolist())
