@@ -100,6 +100,17 @@ def writing(path: Path, fix: str = CHECK) -> Iterator[None]:
         raise OutputError(f"cannot be written ({reason})", str(path), fix) from error
 
 
+def check_output(path: Path, *, replace: bool = True, fix: str = "choose another name, or add --force") -> None:
+    """Raise OutputError if a file cannot be written, or exists and must not be replaced; then with this `fix`."""
+    with writing(path):
+        if not replace and (path.exists() or path.is_symlink()):
+            raise OutputError("already there", str(path), fix)
+        if path.is_dir():
+            raise OutputError("is a folder", str(path), "name a file")
+        if not os.access(path.parent, os.W_OK | os.X_OK):
+            raise OutputError("not a writable folder", str(path.parent), "create it, or choose another name")
+
+
 @contextmanager
 def replacing(path: Path, *, mode: int = 0o644, fix: str = CHECK, fresh: bool = False) -> Iterator[IO[bytes]]:
     """Yield a file that takes the place of `path` once it is written and on disk; a power cut leaves all or nothing.

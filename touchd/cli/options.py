@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from touchd.errors import OutputError
-from touchd.files import writing
+from touchd.files import check_output as check_output
 
 if TYPE_CHECKING:
     from touchd.frame import Plate
@@ -106,17 +105,6 @@ def chosen(options: dict[str, Any]) -> SourceChoice:
     if choice.is_device and (choice.speed != 1 or choice.loop or choice.seed):
         raise click.UsageError("--speed, --loop and --seed apply to a recording or scene: --replay, --simulate")
     return choice
-
-
-def check_output(output: Path, *, replace: bool = True) -> None:
-    """Raise OutputError if a file cannot be written, or exists and must not be replaced."""
-    with writing(output):
-        if output.exists() and not replace:
-            raise OutputError("already there", str(output), "choose another name, or add --force")
-        if output.is_dir():
-            raise OutputError("is a folder", str(output), "name a file")
-        if not os.access(output.parent, os.W_OK | os.X_OK):
-            raise OutputError("not a writable folder", str(output.parent), "create it, or choose another name")
 
 
 def check_model_output(output: Path, *, replace: bool = True) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from touchd.errors import OutputError
-from touchd.files import writing
+from touchd.files import check_output, writing
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording import format as recording
 from touchd.recording.data import Device, Meta, Recording
@@ -185,13 +184,7 @@ def write_beside(path: Path, made: Recording, *, compress: bool = True) -> Path:
 
 def prepare(path: Path, single: bool) -> None:
     """Check the path now, not after an hour of recording; make the folder of chunks. Raises OutputError."""
-    with writing(path):
-        with suppress(FileNotFoundError):  # a name that is too long raises another OSError
-            os.lstat(path)
-            raise OutputError("exists already", str(path), "choose another name, or delete it first")
-        if not path.parent.is_dir():
-            raise OutputError("no such folder", str(path.parent), "create it first")
-        if not os.access(path.parent, os.W_OK | os.X_OK):
-            raise OutputError("the folder may not be written", str(path.parent), "check its permissions")
-        if not single:
+    check_output(path, replace=False, fix="choose another name, or delete it first")
+    if not single:
+        with writing(path):
             path.mkdir(mode=0o700)
