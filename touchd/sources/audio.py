@@ -274,4 +274,4 @@ def open_audio(
             raise DaqAbsent(str(absent)) from absent
         return AudioDaq(card, audio, acquisition, reference, clock)
 
-    return DaqSource(lambda: iter([connect]), device, acquisition, lambda _: None, clock=clock, direct=False)
+    return DaqSource(lambda: iter([connect]), device, acquisition, clock=clock, direct=False)

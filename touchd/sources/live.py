@@ -21,7 +21,7 @@ from collections.abc import Callable
 import structlog
 
 from touchd.config.schema import DeviceSettings
-from touchd.errors import ReaderFailed, TouchdError
+from touchd.errors import ReaderFailed, SourceError, TouchdError
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
@@ -43,8 +43,9 @@ class DaqSource(Source):
     """Frames from a device that may stall, be unplugged, or be plugged in later.
 
     The first of the `candidates` that can be used is; its frames must look like `acquisition`. `check` raises a
-    TouchdError if a device with another acquisition must not be used: it is skipped. `device` has serial number and
-    firmware, if the device was open before. If it can wait for its reader (`direct`), the caller of `read` may read it.
+    TouchdError if a device with another acquisition must not be used, by default every one: it is skipped. `device` has
+    serial number and firmware, if the device was open before. If it can wait for its reader (`direct`), the caller of
+    `read` may read it.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class DaqSource(Source):
         candidates: Candidates,
         settings: DeviceSettings,
         acquisition: Acquisition,
-        check: Callable[[Acquisition], None],
+        check: Callable[[Acquisition], None] | None = None,
         device: Device | None = None,
         *,
         waits: Waits = WAITS,
@@ -65,7 +66,7 @@ class DaqSource(Source):
         self.device = device or Device()
         """The device that was opened last."""
         self._settings, self._waits, self._clock = settings, waits, clock
-        self._search = DeviceSearch(candidates, settings, check)
+        self._search = DeviceSearch(candidates, settings, check or self._refuse_another)
         self._stall_ns = round(settings.stall_s * 1e9)
         self._rate_hz = settings.rate_hz
         self._lending = Lending()
@@ -106,6 +107,11 @@ class DaqSource(Source):
         self._intake.count_corrupt(lent)
         self._seen_ns = self._alive_ns
         return self._take(found, self._seen_ns, away_ns=away_ns, direct=True)
+
+    def _refuse_another(self, found: Acquisition) -> None:
+        if found != self.acquisition:
+            what = f"another DAQ, whose frames are {found}, not {self.acquisition}"
+            raise SourceError(what, "device", "plug in the first one, or restart touchd")
 
     def _checked(self, frame: Frame | None) -> Frame | None:
         """Return what came from the thread, unless it can bring no more."""

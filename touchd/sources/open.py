@@ -8,7 +8,7 @@ from pathlib import Path
 
 from touchd.config.schema import Settings
 from touchd.errors import DeviceBusy, DeviceLost, SourceError
-from touchd.frame import ACQUISITIONS, Acquisition
+from touchd.frame import ACQUISITIONS
 from touchd.localization.model import Model
 from touchd.sources.source import Source
 
@@ -94,8 +94,7 @@ def _open_ni(settings: Settings, model: Model | None) -> Source:
     from touchd.sources.ni import NiDaq
 
     acquisition = model.description.acquisition if model else PAPER
-    check = model.check if model else lambda _: None
-    return DaqSource(lambda: iter([lambda: NiDaq(settings.ni, acquisition)]), settings.device, acquisition, check)
+    return DaqSource(lambda: iter([lambda: NiDaq(settings.ni, acquisition)]), settings.device, acquisition)
 
 
 def _open_usb(settings: Settings, model: Model | None, *, late: bool) -> Source:
@@ -108,9 +107,4 @@ def _open_usb(settings: Settings, model: Model | None, *, late: bool) -> Source:
     except (DeviceLost, DeviceBusy):
         if not late:
             raise
-    return open_usb(settings.device, PAPER, _check_usual)
-
-
-def _check_usual(found: Acquisition) -> None:
-    if found != PAPER:
-        raise SourceError(f"its frames are {found}", "device", "restart touchd, which then takes them")
+    return open_usb(settings.device, PAPER)

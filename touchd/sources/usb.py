@@ -156,7 +156,7 @@ def _refuse(why: str) -> NoReturn:
 def open_usb(
     settings: DeviceSettings,
     acquisition: Acquisition | None = None,
-    check: Callable[[Acquisition], None] = lambda _: None,
+    check: Callable[[Acquisition], None] | None = None,
     *,
     backend: Any = None,
     waits: Waits = WAITS,
@@ -174,13 +174,7 @@ def open_usb(
         acquisition, device = daq.acquisition, daq.device
         daq.close()
         check_rate(daq, settings)
-        check = partial(_refuse_another, acquisition)
     return DaqSource(found, settings, acquisition, check, device, waits=waits)
-
-
-def _refuse_another(first: Acquisition, found: Acquisition) -> None:
-    if found != first:
-        raise SourceError(f"another DAQ, whose frames are {found}, not {first}", "device", "plug in the first one")
 
 
 @cache
