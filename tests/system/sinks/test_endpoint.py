@@ -14,14 +14,15 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from touchd import files
 from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
 from touchd.errors import AddressInUse, BusError, BusTimeout, InsecureBind
 from touchd.event import KeyEvent
-from touchd.files import clear_socket
 from touchd.sinks import endpoint
 from touchd.sinks.zeromq import ZeromqSink
 
@@ -214,20 +215,20 @@ def test_an_unknown_group_is_named(tmp_path: Path) -> None:
 def test_two_that_start_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second looks once the first listens, and is refused: it would take the file from it."""
     address, looked, refused = f"ipc://{tmp_path}/bus", threading.Event(), threading.Event()
-    really = clear_socket
+    really = files._clear_socket
 
     def second() -> None:
         with contextlib.suppress(AddressInUse), endpoint.private_file(address, ""):
             return
         refused.set()
 
-    def look(path: Path, kind: socket.SocketKind) -> None:
+    def look(*arguments: Any) -> None:
         looked.set()
-        really(path, kind)
+        really(*arguments)
 
     with socket.socket(socket.AF_UNIX) as first:
         with endpoint.private_file(address, ""):
-            monkeypatch.setattr(endpoint, "clear_socket", look)
+            monkeypatch.setattr(files, "_clear_socket", look)
             thread = threading.Thread(target=second)
             thread.start()
             assert not looked.wait(0.1)
