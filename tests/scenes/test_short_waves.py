@@ -20,10 +20,14 @@ LAYOUT = Layout(emitter_mm=(16, 38), receivers_mm=((9, 9), (75, 14), (65, 59)))
 LOSS = 0.03
 
 
+def acrylic(stretch: float = 0.0) -> Instrument:
+    modes = basis_of(ACRYLIC).loaded(elastic(ACRYLIC), LAYOUT)
+    return Instrument(ACRYLIC, layout=LAYOUT, modes=modes, loss=LOSS, stretch=stretch)
+
+
 @pytest.fixture(scope="module")
 def plate() -> Instrument:
-    modes = basis_of(ACRYLIC).loaded(elastic(ACRYLIC), LAYOUT)
-    return Instrument(ACRYLIC, layout=LAYOUT, modes=modes, loss=LOSS)
+    return acrylic()
 
 
 @pytest.fixture(scope="module")
@@ -47,3 +51,14 @@ def test_adults_fingers_are_found(finger: str, least: int, median_mm: float, pla
     assert len(right) >= least
     off_mm = [np.hypot(one.found[0].x_mm - one.true_mm[0][0], one.found[0].y_mm - one.true_mm[0][1]) for one in right]
     assert np.median(off_mm) < median_mm
+
+
+@pytest.mark.parametrize("stretch", [-0.02, -0.01, 0.01])
+def test_another_days_temperature(stretch: float, model: Model) -> None:
+    """Ten kelvin from the calibration robot's tips were 0.26 mm off; at twenty 96 of 100 were missed or miscounted."""
+    frames = touched_frames(simulate_touches(50, seed=8, instrument=acrylic(stretch), finger="robot"))
+    seen = see(find_with(model, model.atlas, frames), frames)
+    right = [one for one in seen if len(one.found) == 1]
+    assert len(right) >= 49
+    off_mm = [np.hypot(one.found[0].x_mm - one.true_mm[0][0], one.found[0].y_mm - one.true_mm[0][1]) for one in right]
+    assert np.median(off_mm) < 0.08

@@ -86,6 +86,7 @@ EFFECTS = {
     "tilts 10 deg 1.5 dB": _tilts(10.0, 1.5),
     "tilts 30 deg 3 dB": _tilts(30.0, 3.0),
     "feedthrough 0 dB": Rig(feedthrough=((0.0, 20.0), (-3.0, 200.0), (3.0, 60.0), (0.0, 340.0))),
+    "resonances 0.5 % lower": Rig(stretch=-5e-3),
     "12 pads": Rig(mounting=Mounting(left="pads", right="pads", top="pads", bottom="pads")),
     "4 glued feet": Rig(mounting=Mounting(attachments=feet(*DEFAULT_PLATE.size_mm))),
     "4 dry feet": Rig(mounting=DRY_FEET),

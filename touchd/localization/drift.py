@@ -18,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.plate_changes import delayed, drive_waves, plate_directions, stretch_matrix
+from touchd.localization.plate_changes import delayed, drive_waves, plate_directions, stretched_dft
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Expansion = tuple[Floats, Floats]
+"""What takes samples to bins, and its derivative by a stretch, each of shape (samples, 2 * bins)."""
 
 DEAD_BELOW = 0.05
 """A channel with less than this share of its energy in training is dead."""
@@ -29,9 +31,13 @@ FOLLOW_S = 0.3
 """Time constant of the correction under a finger: slow for noise, quick for a temperature."""
 FOLLOW_EVERY_NS = 40_000_000
 """Least time between two updates of it."""
-_ROUNDS = 3  # the stretch is fitted to first order
+_ROUNDS, _MOST_ROUNDS = 3, 8
+_SETTLED = 1e-6  # a smaller step ends a fit, 0.02 K on glass
+_STEP = 2e-4  # of stretches for which bins are computed; about each the change is of first order
 _EXACT = 3e-3  # gains nearer to 1 are left as they are: that moves a finger by 1 um
-_LARGEST_STRETCH = 3e-3  # some seventy kelvin: beyond it the first order is wrong, and so is the cause
+_PLAUSIBLE_STRETCH = 3e-3  # seventy kelvin on glass, eleven on aluminium
+_LARGEST_STRETCH = 3e-2  # thirty kelvin on acrylic; beyond the plausible it has to explain the untouched plate
+_EXPLAINED = 0.3  # it leaves less than this share: twenty kelvin on acrylic leave 0.005, another plate 0.8
 _LARGEST_GAIN = 30.0  # or its inverse: an audio interface's knob was turned; another plate's gains are near 0
 
 
@@ -47,7 +53,8 @@ class Drift:
         a, bins = atlas.description.acquisition, np.array(atlas.description.bins)
         self._dtype = atlas.coefficients.dtype
         self._plain = atlas.description.to_bins
-        self._stretched = stretch_matrix(a, bins, atlas.description.taper) * np.tile(atlas.description.bin_weights, 2)
+        self._description, self._weights = atlas.description, np.tile(atlas.description.bin_weights, 2)
+        self._expansions: dict[float, tuple[Expansion, Expansion]] = {}
         drive = np.linalg.qr((drive_waves(a) @ self._plain).T)[0].T
         self._drive: Floats = drive
         """Orthonormal directions in which the drive can move a channel, shape (4, 2 * bins)."""
@@ -87,7 +94,8 @@ class Drift:
         live = baseline.astype(np.float64)
         self.dead = self._plate_energy(live) < DEAD_BELOW * self._known
         self.stretch, self.gains = self._fit(live)
-        self.matrix = (self._plain - self.stretch * self._stretched).astype(self._dtype)
+        about, _, (matrix, self._slope) = self._expanded(self.stretch)
+        self.matrix = (matrix + (_inverse(self.stretch) - _inverse(about)) * self._slope).astype(self._dtype)
         self._inverse = None
         if np.abs(self.gains - 1).max() > _EXACT:
             real, imaginary = (1 / self.gains).real, (1 / self.gains).imag
@@ -159,39 +167,59 @@ class Drift:
     def _fit(self, live: Floats) -> tuple[float, Complex]:
         """Return stretch and gains that lead from the untouched plate in training to the one now.
 
-        A gain is linear along the band, in real and imaginary part: a delay is the slope of its phase.
+        A gain is linear along the band, in real and imaginary part: a delay is the slope of its phase. The fit begins
+        at the last stretch.
         """
-        stretch, gains = 0.0, np.ones_like(self.gains)
+        stretch, gains = self.stretch, np.ones_like(self.gains)
+        nothing = 0.0, np.ones_like(gains)
         alive = np.flatnonzero(~self.dead)
         if not alive.size:
-            return stretch, gains
+            return nothing
         middle, half = np.mean(self._omega_rad_s), np.ptp(self._omega_rad_s) / 2 or 1.0
-        along = (self._omega_rad_s - middle) / half
-        now, known, stretched = (
-            _to_complex(bins)
-            for bins in (live @ self._plain, self._reference @ self._plain, self._reference @ self._stretched)
-        )
-        for _ in range(_ROUNDS):
-            expected = known + stretch * stretched
-            each = np.stack([expected, 1j * expected, along * expected, 1j * along * expected], axis=1)[alive]
+        along, left = (self._omega_rad_s - middle) / half, math.inf
+        now = _to_complex(live @ self._plain)[alive]
+        for k in range(_MOST_ROUNDS):
+            about, forth, _ = self._expanded(stretch)
+            known, stretched = (_to_complex(self._reference @ each)[alive] for each in forth)
+            expected = known + (stretch - about) * stretched
+            each = np.stack([expected, 1j * expected, along * expected, 1j * along * expected], axis=1)
             columns = np.zeros((1 + 4 * len(alive), len(alive), 2 * len(along)))
-            columns[0] = _to_parts(gains * stretched)[alive]
-            for k, own in enumerate(_to_parts(each)):
-                columns[1 + 4 * k : 5 + 4 * k, k] = own
-            error = self._without_drive(_to_parts(now - gains * expected)[alive])
+            columns[0] = _to_parts(gains[alive] * stretched)
+            for channel, own in enumerate(_to_parts(each)):
+                columns[1 + 4 * channel : 5 + 4 * channel, channel] = own
+            error = self._without_drive(_to_parts(now - gains[alive] * expected)).ravel()
             system = self._without_drive(columns).reshape(len(columns), -1).T
-            found = np.linalg.lstsq(system, error.ravel(), rcond=1e-9)[0]
+            found = np.linalg.lstsq(system, error, rcond=1e-9)[0]
+            left = float(np.square(error - system @ found).sum())
             stretch += float(found[0])
             c = found[1:].reshape(-1, 4, 1)
             gains[alive] += c[:, 0] + 1j * c[:, 1] + along * (c[:, 2] + 1j * c[:, 3])
+            if not abs(stretch) < _LARGEST_STRETCH or (k + 1 >= _ROUNDS and abs(found[0]) < _SETTLED):
+                break
+        explained = left < _EXPLAINED * np.square(self._without_drive(_to_parts(now))).sum()
+        known_by = _LARGEST_STRETCH if explained else _PLAUSIBLE_STRETCH
         size = np.abs(gains)
-        sound = abs(stretch) < _LARGEST_STRETCH and 1 / _LARGEST_GAIN < size.min() <= size.max() < _LARGEST_GAIN
-        return (stretch, gains) if sound else (0.0, np.ones_like(gains))
+        sound = abs(stretch) < known_by and 1 / _LARGEST_GAIN < size.min() <= size.max() < _LARGEST_GAIN
+        return (stretch, gains) if sound else nothing
+
+    def _expanded(self, stretch: float) -> tuple[float, Expansion, Expansion]:
+        """Return a stretch nearby, and what takes samples to bins as they are after it, and as they were before it."""
+        about = _STEP * round(stretch / _STEP)
+        if about not in self._expansions:
+            self._expansions = dict([*self._expansions.items()][-1:])
+            forth = self._bins_after(about)
+            self._expansions[about] = forth, self._bins_after(_inverse(about)) if about else forth
+        return about, *self._expansions[about]
+
+    def _bins_after(self, stretch: float) -> Expansion:
+        d = self._description
+        matrix, slope = stretched_dft(d.acquisition, np.array(d.bins), stretch, d.taper)
+        return self._weights * matrix, self._weights * slope
 
     def _set_directions(self, live: Floats) -> None:
         """Set the directions in which the untouched plate can move."""
         bins, stretched = (
-            _to_parts(_to_complex(each) / self.gains) for each in (live @ self.matrix, live @ self._stretched)
+            _to_parts(_to_complex(each) / self.gains) for each in (live @ self.matrix, live @ self._slope)
         )
         self.signal_energy = max(float(np.square(bins).sum()), 1.0)
         bins[self.dead] = stretched[self.dead] = 0.0
@@ -200,6 +228,11 @@ class Drift:
         self.directions = directions.astype(self._dtype)
         self._along = np.zeros(len(directions), self._dtype)
         self._step = np.zeros_like(self._along)
+
+
+def _inverse(stretch: float) -> float:
+    """Return the stretch that undoes another one."""
+    return -stretch / (1 + stretch)
 
 
 def _to_complex(bins: Floats) -> Complex:

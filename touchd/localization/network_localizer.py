@@ -17,7 +17,7 @@ from touchd.localization.features import Features, band_bins, windowed_dft
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
-from touchd.localization.plate_changes import plate_directions, stretch_matrix
+from touchd.localization.plate_changes import plate_directions, stretched_dft
 from touchd.localization.stillness import StillFrame
 from touchd.outcome import Outcome
 from touchd.touch import Touch
@@ -40,7 +40,7 @@ class PlateMovement:
     def __init__(self, acquisition: Acquisition, dtype: DTypeLike) -> None:
         bins = band_bins(acquisition)
         self._features = Features("frequency", acquisition, dtype)
-        self._plain, self._stretched = windowed_dft(acquisition), stretch_matrix(acquisition, bins)
+        self._plain, self._stretched = windowed_dft(acquisition), stretched_dft(acquisition, bins, 0.0)[1]
         self._omega_rad_s = 2 * np.pi * bins * acquisition.sample_rate_hz / acquisition.samples
         self._bins: Signal = np.zeros(self._features.size, dtype)
         self._directions: Signal = np.zeros((0, self._features.size), dtype)

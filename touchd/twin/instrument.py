@@ -52,8 +52,9 @@ class Instrument:
     `loss` is the loss factor, 2e-3 .. 1e-2 for a mounted plate with bonded discs. `tilts` are those of each receiver's
     phase and gain, (deg, dB), along the chirp's band, from its middle to its upper end. `feedthrough` is what each
     receiver hears of the drive itself, (dB, deg): its level beside what the plate sends it, and its phase in the middle
-    of the band. `modes` are those of plate and discs by other physics than the twin's; real ones take `loss`, complex
-    ones have theirs. Raises SimulationError if the twin cannot simulate this instrument.
+    of the band. `stretch` raises all modes' frequencies by a share, as another day's temperature does. `modes` are
+    those of plate and discs by other physics than the twin's; real ones take `loss`, complex ones have theirs. Raises
+    SimulationError if the twin cannot simulate this instrument.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class Instrument:
         mounting: Mounting = FREE,
         tilts: Sequence[tuple[float, float]] = (),
         feedthrough: Sequence[tuple[float, float]] = (),
+        stretch: float = 0.0,
         modes: LoadedModes | None = None,
     ) -> None:
         self.plate = plate
@@ -85,6 +87,7 @@ class Instrument:
             modes = loaded_modes(plate, self.layout, highest_hz)
         elif modes is None:
             modes = mounted_modes(plate, self.layout, mounting, loss, highest_hz)
+        modes = modes._replace(omega_rad_s=modes.omega_rad_s * (1 + stretch))
         self._loss = loss
         supports = [support for support in mounting.on(plate) if support.preload_n is not None]
         self.response = Response(plate, modes, nu, 0.0 if np.iscomplexobj(modes.w) else loss, supports)

@@ -29,6 +29,10 @@ Complex = NDArray[np.complex128]
 
 CONVERGED_MM = 1e-9
 MOST_STEPS = 200
+STEP = 1e-6
+"""Of a stretch, either way, for its derivative."""
+EXPANDED = 2e-4
+"""Steps of stretches about which the fast path goes to first order."""
 PRIOR = np.array([
     [-1.2 * np.exp(0.4j) / 2.0, 0, 0.5 / 2.0, 0.5 / 2.0, 0],
     [0, 0, 0.5 / 1.2, -0.5 / 1.2, 0],
@@ -54,22 +58,31 @@ def bins_of(signal: NDArray[np.floating], bins: NDArray[np.int64], taper: float 
 
 
 def stretched_bins(
-    signal: NDArray[np.floating], bins: NDArray[np.int64], acquisition: Acquisition, taper: float
+    signal: NDArray[np.floating], bins: NDArray[np.int64], acquisition: Acquisition, taper: float, stretch: float
 ) -> Complex:
-    """How those bins change when the plate's resonances rise, for a relative rise of 1, in first order.
+    """Those bins as they are once all of the plate's resonances have risen by a share.
 
-    What a linear chirp sends out at f leaves at tau(f), and from there on the answer is stretched: the change is
-    y'(t) (t - tau(f)) before window and transform.
+    Each wave of the frame's Fourier series, of frequency f, was an answer to what the linear chirp sent out at f; now
+    it is one of f (1 + stretch), to what was sent out there, in another phase.
     """
-    wide, n = np.asarray(signal, np.float64), acquisition.samples
+    wide, n, chirp = np.asarray(signal, np.float64), acquisition.samples, acquisition.chirp
     t_s, f_hz = np.arange(n) / acquisition.sample_rate_hz, np.fft.rfftfreq(n, 1 / acquisition.sample_rate_hz)
-    spectrum = np.fft.rfft(wide) * 2j * np.pi * f_hz
-    if n % 2 == 0:
-        spectrum[..., -1] = 0.0
-    slope = np.fft.irfft(spectrum, n)
-    chirp = acquisition.chirp
-    tau_s = (f_hz[bins] - chirp.start_hz) * chirp.duration_s / (chirp.stop_hz - chirp.start_hz)
-    return np.asarray(bins_of(slope * t_s, bins, taper) - tau_s * bins_of(slope, bins, taper))
+    sweep = (chirp.stop_hz - chirp.start_hz) / chirp.duration_s
+    sent, sent_now = (-np.pi * (each - chirp.start_hz) ** 2 / sweep for each in (f_hz, f_hz * (1 + stretch)))
+    turns = [np.exp(2j * np.pi * np.outer(f_hz, t_s))[1:-1]]  # neither mean nor alternating signal are waves
+    turns.append(np.exp(2j * np.pi * np.outer(f_hz * (1 + stretch), t_s) + 1j * (sent_now - sent)[:, None])[1:-1])
+    moved = 2 / n * np.fft.rfft(wide)[..., 1:-1] @ (turns[1] - turns[0])
+    return bins_of(wide + moved.real, bins, taper)
+
+
+def expanded(
+    signal: NDArray[np.floating], bins: NDArray[np.int64], acquisition: Acquisition, taper: float, stretch: float,
+    about: float,
+) -> tuple[Complex, Complex]:  # fmt: skip
+    """Bins after a stretch to first order about another, as the fast path has them, and their derivative there."""
+    middle, *ends = (stretched_bins(signal, bins, acquisition, taper, about + by) for by in (0.0, STEP, -STEP))
+    slope = (ends[0] - ends[1]) / (2 * STEP)
+    return middle + (stretch - about) * slope, slope
 
 
 def flat(bins: Complex) -> Floats:
@@ -93,12 +106,11 @@ def plate_of(baseline: NDArray[np.floating], atlas: Atlas) -> Plate:
     """Compare the untouched plate with that of the atlas: a stretch, and a gain and some drive for each live channel.
 
     Least squares over the bins. A gain is complex and linear along the band; the drive is the chirp and its derivative,
-    each at any phase. The model is linear in a small stretch, and iterated.
+    each at any phase. It is iterated to the stretch, about which the model is not linear.
     """
     d = atlas.description
     a, bins = d.acquisition, np.array(d.bins)
     known, live = (bins_of(np.asarray(each, np.float64), bins, d.taper) for each in (atlas.baseline, baseline))
-    rise = stretched_bins(atlas.baseline, bins, a, d.taper)
     chirp, t_s = a.chirp, np.arange(a.samples) / a.sample_rate_hz
     hz = chirp.start_hz + (chirp.stop_hz - chirp.start_hz) * t_s / chirp.duration_s
     turning = np.where(t_s < chirp.duration_s, np.exp(1j * np.pi * (chirp.start_hz + hz) * t_s), 0)
@@ -117,8 +129,9 @@ def plate_of(baseline: NDArray[np.floating], atlas: Atlas) -> Plate:
         return Plate(stretch, gains, dead)
     along = 2 * (bins - bins.mean()) / np.ptp(bins)
     size = np.linalg.norm(known)
-    for _ in range(3):  # as often as the fast path, which has to be quick
-        expected = known + stretch * rise
+    for k in range(8):  # as often as the fast path, which has to be quick
+        about = EXPANDED * round(stretch / EXPANDED)
+        expected, rise = expanded(atlas.baseline, bins, a, d.taper, stretch, about)
         columns = [gains * rise]
         for r in alive:
             own = np.arange(channels)[:, None] == r
@@ -129,7 +142,9 @@ def plate_of(baseline: NDArray[np.floating], atlas: Atlas) -> Plate:
         steps = move[1:].reshape(len(alive), 8, 1)
         stretch += move[0]
         gains[alive] += steps[:, 0] + 1j * steps[:, 1] + along * (steps[:, 2] + 1j * steps[:, 3])
-    if not (abs(stretch) < 3e-3 and 1 / 30 < np.abs(gains).min() <= np.abs(gains).max() < 30):
+        if k >= 2 and abs(move[0]) < 1e-6:
+            break
+    if not (abs(stretch) < 3e-2 and 1 / 30 < np.abs(gains).min() <= np.abs(gains).max() < 30):
         stretch, gains = 0.0, np.ones_like(gains)
     return Plate(stretch, gains, dead)
 
@@ -138,8 +153,8 @@ def atlas_features(residual: NDArray[np.floating], plate: Plate, atlas: Atlas) -
     """The bins of a residual as they would be on the plate that the atlas was learned on, shape (size,)."""
     d = atlas.description
     bins = np.array(d.bins)
-    found = bins_of(residual, bins, d.taper)
-    found = found - plate.stretch * stretched_bins(residual, bins, d.acquisition, d.taper)
+    about = EXPANDED * round(plate.stretch / EXPANDED)
+    found, _ = expanded(residual, bins, d.acquisition, d.taper, *(-by / (1 + by) for by in (plate.stretch, about)))
     if np.abs(plate.gains - 1).max() > 3e-3:  # the fast path leaves smaller differences be
         found = found / plate.gains
     return flat(found)

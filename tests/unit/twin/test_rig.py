@@ -72,7 +72,7 @@ def test_file(tmp_path: Path) -> None:
             "[[mounting.attachments]]\nx_mm = [0, 5]\ny_mm = [0, 9]\npreload_n = 1",
             "attachments.0: preload_n: only round attachments can be pressed -> correct it",
         ),
-        ("[plate]\nloss = 1", "plate: unknown key -> use mounting, tilts, feedthrough, electronics"),
+        ("[plate]\nloss = 1", "plate: unknown key -> use mounting, tilts, feedthrough, stretch, electronics"),
         ("tilts = ", "not valid TOML"),
     ],
 )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from touchd.evaluation.dataset import Array, Dataset, baseline_frames, labels
 from touchd.localization.features import band_bins, windowed_dft
-from touchd.localization.plate_changes import stretch_matrix
+from touchd.localization.plate_changes import stretched_dft
 from touchd.recording.data import Recording
 
 STANDS_OUT = 9.0
@@ -57,7 +57,7 @@ def at_one_temperature(recording: Recording, dataset: Dataset) -> tuple[Dataset,
     reference = np.zeros(a.shape)
     for some in np.array_split(untouched, -(-len(untouched) // _BLOCK)):
         reference += frames[some].sum(axis=0, dtype=np.float64) / len(untouched)
-    plain, stretched = windowed_dft(a, bins, dataset.taper), stretch_matrix(a, bins, dataset.taper)
+    plain, stretched = windowed_dft(a, bins, dataset.taper), stretched_dft(a, bins, 0.0, dataset.taper)[1]
     slope = reference @ stretched
     share = plain @ slope.T / max(float(np.square(slope).sum()), 1e-30)  # (samples, channels)
     residual = np.empty_like(dataset.residual)

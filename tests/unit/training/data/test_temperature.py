@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from touchd.evaluation.dataset import make_dataset
 from touchd.localization.features import band_bins, windowed_dft
-from touchd.localization.plate_changes import stretch_matrix
+from touchd.localization.plate_changes import stretched_dft
 from touchd.recording.data import Recording
 from touchd.training.data.temperature import NEAR_S, at_one_temperature, smooth
 
@@ -19,7 +19,7 @@ def test_what_warmth_did_to_the_touches_is_taken_back(touches: Recording) -> Non
     """A plate warmed in steps: each touch's residual changes as the operator says, and is changed back."""
     a = touches.acquisition
     back = windowed_dft(a, band_bins(a))
-    change = stretch_matrix(a, band_bins(a)) @ np.linalg.pinv(back)
+    change = stretched_dft(a, band_bins(a), 0.0)[1] @ np.linalg.pinv(back)
     stretch = np.where(np.arange(len(touches.frames)) < 400, -4e-4, 4e-4)
     frames = touches.frames.astype(np.float64)
     warmed = np.round(frames + stretch[:, None, None] * (frames @ change)).astype(np.int16)
