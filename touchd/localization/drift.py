@@ -34,10 +34,11 @@ FOLLOW_EVERY_NS = 40_000_000
 _ROUNDS, _MOST_ROUNDS = 3, 8
 _SETTLED = 1e-6  # a smaller step ends a fit, 0.02 K on glass
 _STEP = 2e-4  # of stretches for which bins are computed; about each the change is of first order
+_KEPT = 6  # of those last used: a fit from 0 passes as many
 _EXACT = 3e-3  # gains nearer to 1 are left as they are: that moves a finger by 1 um
 _PLAUSIBLE_STRETCH = 3e-3  # seventy kelvin on glass, eleven on aluminium
 _LARGEST_STRETCH = 3e-2  # thirty kelvin on acrylic; beyond the plausible it has to explain the untouched plate
-_EXPLAINED = 0.3  # it leaves less than this share: twenty kelvin on acrylic leave 0.005, another plate 0.8
+_EXPLAINED = 0.3  # it leaves less than this share: twenty kelvin on acrylic leave 0.005, another plate 0.4 and more
 _LARGEST_GAIN = 30.0  # or its inverse: an audio interface's knob was turned; another plate's gains are near 0
 
 
@@ -167,10 +168,10 @@ class Drift:
     def _fit(self, live: Floats) -> tuple[float, Complex]:
         """Return stretch and gains that lead from the untouched plate in training to the one now.
 
-        A gain is linear along the band, in real and imaginary part: a delay is the slope of its phase. The fit begins
-        at the last stretch.
+        A gain is linear along the band, in real and imaginary part: a delay is the slope of its phase. What was found
+        before plays no part.
         """
-        stretch, gains = self.stretch, np.ones_like(self.gains)
+        stretch, gains = 0.0, np.ones_like(self.gains)
         nothing = 0.0, np.ones_like(gains)
         alive = np.flatnonzero(~self.dead)
         if not alive.size:
@@ -205,11 +206,12 @@ class Drift:
     def _expanded(self, stretch: float) -> tuple[float, Expansion, Expansion]:
         """Return a stretch nearby, and what takes samples to bins as they are after it, and as they were before it."""
         about = _STEP * round(stretch / _STEP)
-        if about not in self._expansions:
-            self._expansions = dict([*self._expansions.items()][-1:])
+        found = self._expansions.pop(about, None)
+        if found is None:
             forth = self._bins_after(about)
-            self._expansions[about] = forth, self._bins_after(_inverse(about)) if about else forth
-        return about, *self._expansions[about]
+            found = forth, self._bins_after(_inverse(about)) if about else forth
+        self._expansions = dict([*self._expansions.items()][1 - _KEPT :]) | {about: found}
+        return about, *found
 
     def _bins_after(self, stretch: float) -> Expansion:
         d = self._description

@@ -69,7 +69,7 @@ def test_a_second_daemon(tmp_path: Path) -> None:
                 assert second.code == AddressInUse.exit_code
                 (line,) = [line for line in second.err.splitlines() if line.startswith("touchd: ")]
                 assert taken in line
-                assert "-> stop it (is the daemon running already?), or set another" in line
+                assert "-> stop it (is it running already?), or set another" in line
             assert inodes() == before
             until(events, is_down)
         daemon.kill()
