@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.frame import HANN, Acquisition
+from touchd.localization.features import windowed_dft
 
 Floats = NDArray[np.float64]
 
@@ -64,8 +65,7 @@ def stretched_dft(
         Columns as `touchd.localization.features.windowed_dft` orders them: real parts, then imaginary parts.
     """
     n, rate_hz, period_s = acquisition.samples, acquisition.sample_rate_hz, acquisition.chirp.period_s
-    t = np.arange(n)
-    waves = np.arange(n // 2 + 1)
+    t, waves = np.arange(n), np.arange(n // 2 + 1)
     omega_rad_s, t_s = 2 * np.pi * waves * rate_hz / n, t / rate_hz
     later_s = t_s[:, None] - emission_s(acquisition, waves)
     if period_s is not None:  # what comes before the chirp's own answer is the ringing of the one before
@@ -74,17 +74,17 @@ def stretched_dft(
     # The higher wave that one becomes was emitted later: in second order by a rate, s^2.
     rate_s2 = acquisition.chirp.duration_s / (2 * np.pi * (acquisition.chirp.stop_hz - acquisition.chirp.start_hz))
     phase = omega_rad_s * (t_s[:, None] + stretch * later_s) - rate_s2 / 2 * (stretch * omega_rad_s) ** 2
-    moved = np.exp(1j * phase)
+    cos, sin = np.cos(phase), np.sin(phase)
+    slope = omega_rad_s * (later_s - rate_s2 * stretch * omega_rad_s)
     # The index product is reduced modulo the length first: cos of a large argument loses digits.
-    to_bins = acquisition.window(taper)[:, None] * np.exp(-2j * np.pi / n * (np.outer(t, bins) % n))
-    to_waves = np.exp(-2j * np.pi / n * (np.outer(t, waves) % n)) / n
-    to_waves[:, 0] /= 2  # these two are their own negatives
-    to_waves[:, n - n // 2 :] /= 2
-    found = []
-    for each in (moved, 1j * omega_rad_s * (later_s - rate_s2 * stretch * omega_rad_s) * moved):
-        matrix = to_waves @ (each.T @ to_bins) + to_waves.conj() @ (each.T.conj() @ to_bins)
-        found.append(np.concatenate([matrix.real, matrix.imag], axis=1))
-    return found[0], found[1]
+    turn = (np.outer(t, waves) % n) * (2 * np.pi / n)
+    share = np.where((waves == 0) | (2 * waves == n), 1, 2) / n  # a wave has two lines but for these
+    to_waves = np.concatenate([share * np.cos(turn), share * np.sin(turn)], axis=1)
+    plain = windowed_dft(acquisition, bins, taper)
+    matrix, derivative = (
+        to_waves @ (np.concatenate(moved, axis=1).T @ plain) for moved in ((cos, sin), (-slope * sin, slope * cos))
+    )
+    return matrix, derivative
 
 
 def delayed(bins: Floats, omega_rad_s: Floats) -> Floats:
