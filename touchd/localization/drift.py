@@ -13,6 +13,7 @@ moved them. What may be drive tells nothing of the plate.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,21 @@ from touchd.localization.plate_changes import delayed, drive_waves, plate_direct
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Expansion = tuple[Floats, Floats]
-"""What takes samples to bins, and its derivative by a stretch, each of shape (samples, 2 * bins)."""
+
+
+class Expansion(NamedTuple):
+    """What changes to first order about a stretch."""
+
+    stretch: float
+    known: Complex
+    """Bins of the plate of the training after it, shape (channels, bins)."""
+    by_stretch: Complex
+    """Their derivative."""
+    back: Floats
+    """What takes samples to bins as they were before it, shape (samples, 2 * bins)."""
+    back_slope: Floats
+    """Its derivative."""
+
 
 DEAD_BELOW = 0.05
 """A channel with less than this share of its energy in training is dead."""
@@ -55,7 +69,7 @@ class Drift:
         self._dtype = atlas.coefficients.dtype
         self._plain = atlas.description.to_bins
         self._description, self._weights = atlas.description, np.tile(atlas.description.bin_weights, 2)
-        self._expansions: dict[float, tuple[Expansion, Expansion]] = {}
+        self._expansions: dict[float, Expansion] = {}
         drive = np.linalg.qr((drive_waves(a) @ self._plain).T)[0].T
         self._drive: Floats = drive
         """Orthonormal directions in which the drive can move a channel, shape (4, 2 * bins)."""
@@ -95,14 +109,15 @@ class Drift:
         live = baseline.astype(np.float64)
         self.dead = self._plate_energy(live) < DEAD_BELOW * self._known
         self.stretch, self.gains = self._fit(live)
-        about, _, (matrix, self._slope) = self._expanded(self.stretch)
-        self.matrix = (matrix + (_inverse(self.stretch) - _inverse(about)) * self._slope).astype(self._dtype)
+        near = self._expanded(self.stretch)
+        by = _inverse(self.stretch) - _inverse(near.stretch)
+        self.matrix = (near.back + by * near.back_slope).astype(self._dtype)
         self._inverse = None
         if np.abs(self.gains - 1).max() > _EXACT:
             real, imaginary = (1 / self.gains).real, (1 / self.gains).imag
             inverse = np.stack([[real, real], [-imaginary, imaginary]]).swapaxes(1, 2)
             self._inverse = np.ascontiguousarray(inverse, self._dtype)
-        self._set_directions(live)
+        self._set_directions(live, near.back_slope)
         self.reset()
 
     def correct(self, residual: Array, out: Array) -> None:
@@ -180,9 +195,9 @@ class Drift:
         along, left = (self._omega_rad_s - middle) / half, math.inf
         now = _to_complex(live @ self._plain)[alive]
         for k in range(_MOST_ROUNDS):
-            about, forth, _ = self._expanded(stretch)
-            known, stretched = (_to_complex(self._reference @ each)[alive] for each in forth)
-            expected = known + (stretch - about) * stretched
+            near = self._expanded(stretch)
+            stretched = near.by_stretch[alive]
+            expected = near.known[alive] + (stretch - near.stretch) * stretched
             each = np.stack([expected, 1j * expected, along * expected, 1j * along * expected], axis=1)
             columns = np.zeros((1 + 4 * len(alive), len(alive), 2 * len(along)))
             columns[0] = _to_parts(gains[alive] * stretched)
@@ -203,26 +218,22 @@ class Drift:
         sound = abs(stretch) < known_by and 1 / _LARGEST_GAIN < size.min() <= size.max() < _LARGEST_GAIN
         return (stretch, gains) if sound else nothing
 
-    def _expanded(self, stretch: float) -> tuple[float, Expansion, Expansion]:
-        """Return a stretch nearby, and what takes samples to bins as they are after it, and as they were before it."""
+    def _expanded(self, stretch: float) -> Expansion:
+        """Return the expansion about a stretch nearby."""
         about = _STEP * round(stretch / _STEP)
         found = self._expansions.pop(about, None)
         if found is None:
-            forth = self._bins_after(about)
-            found = forth, self._bins_after(_inverse(about)) if about else forth
+            d, bins = self._description, np.array(self._description.bins)
+            forth = stretched_dft(d.acquisition, bins, about, d.taper)
+            back = stretched_dft(d.acquisition, bins, _inverse(about), d.taper) if about else forth
+            known, by_stretch = (_to_complex(self._reference @ (self._weights * each)) for each in forth)
+            found = Expansion(about, known, by_stretch, *(self._weights * each for each in back))
         self._expansions = dict([*self._expansions.items()][1 - _KEPT :]) | {about: found}
-        return about, *found
+        return found
 
-    def _bins_after(self, stretch: float) -> Expansion:
-        d = self._description
-        matrix, slope = stretched_dft(d.acquisition, np.array(d.bins), stretch, d.taper)
-        return self._weights * matrix, self._weights * slope
-
-    def _set_directions(self, live: Floats) -> None:
+    def _set_directions(self, live: Floats, slope: Floats) -> None:
         """Set the directions in which the untouched plate can move."""
-        bins, stretched = (
-            _to_parts(_to_complex(each) / self.gains) for each in (live @ self.matrix, live @ self._slope)
-        )
+        bins, stretched = (_to_parts(_to_complex(each) / self.gains) for each in (live @ self.matrix, live @ slope))
         self.signal_energy = max(float(np.square(bins).sum()), 1.0)
         bins[self.dead] = stretched[self.dead] = 0.0
         self.delay = delayed(bins, self._omega_rad_s).ravel()
