@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from touchd.cli.options import PATH, check_output
+from touchd.cli.options import PATH
+from touchd.files import check_output
 
 if TYPE_CHECKING:
     from rich.console import Console

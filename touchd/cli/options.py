@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from touchd.errors import OutputError
-from touchd.files import check_output as check_output
+from touchd.files import check_output
 
 if TYPE_CHECKING:
     from touchd.frame import Plate

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.options import PATH, check_output
+from touchd.cli.options import PATH
 from touchd.errors import RecordingValues
+from touchd.files import check_output
 
 
 @click.command()

@@ -11,8 +11,9 @@ from typing import Any
 
 import click
 
-from touchd.cli.options import PATH, Number, NumberRange, check_output, check_plate
+from touchd.cli.options import PATH, Number, NumberRange, check_plate
 from touchd.config.schema import LogSettings
+from touchd.files import check_output
 from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate
 from touchd.keypad import load_layout
 from touchd.recording import format as recording
@@ -26,8 +27,8 @@ from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
 from touchd.twin.simulate import Session, simulate_session, simulate_stage
 
 TOUCHES = "touches"
-MOST_FRAMES, MOST_TOUCHES = 2_000_000, 1_000_000
-"""4 GB in memory, of four channels."""
+MOST_FRAMES = 2_000_000
+"""4 GB in memory, of four channels. A touch has two."""
 _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.options import PATH, check_model_output, check_output
+from touchd.cli.options import PATH, check_model_output
+from touchd.files import check_output
 from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
 

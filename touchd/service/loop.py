@@ -119,7 +119,7 @@ class Service:
     def _run_frames(self) -> None:
         pipeline, preroll, feed, rate = self.pipeline, self._preroll, self._feed, self._rate
         source = self._source
-        labelled = type(source).truth is not Source.truth
+        labelled = source.labelled
         for frame in frames_of(source, on_change=self._follow):
             if frame is None:
                 self._wait()

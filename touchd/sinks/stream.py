@@ -24,7 +24,7 @@ _SHARED_NS = 1_000_000_000
 _SLOWEST_NS = 2_000_000_000
 """Of a touch's messages that come more seldom it is not waited longer for the next."""
 _MOST_KEYS = 1000
-"""No keypad has as many."""
+"""No keypad has more."""
 _DRIFT = 2e-4
 """Two computers' clocks drift apart by less than this."""
 

@@ -29,6 +29,8 @@ class ReplaySource(Source):
     ConfigError for a speed below 0.001.
     """
 
+    labelled = True
+
     def __init__(
         self,
         path: Path,

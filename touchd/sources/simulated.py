@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -26,10 +27,12 @@ class SimulatedSource(Source):
     A frame's `t_ns` is the clock at the first frame plus the scene's own time, so events do not depend on the speed of
     this computer. The first lap, of `frames` if given, is bit for bit what `simulate_scene` returns for the seed; later
     laps, if it is to loop, repeat the scene with other noise; sequence and time continue. Unless it is `paced`, frames
-    come as soon as they are computed.
+    come as soon as they are computed. At a lower rate (`set_rate`) the source leaves out the frames between.
 
     Raises SimulationError if the scene is unknown, too short, or does not fit the plate.
     """
+
+    labelled = True
 
     def __init__(
         self,
@@ -55,6 +58,9 @@ class SimulatedSource(Source):
         self._next = 0  # in the block
         self._frame = 0  # in the lap
         self._lap = 0
+        self._last_ns = 0
+        self._omitted = 0  # frames left out because of the rate: no number counts them
+        self._period_ns, self._wanted_ns = 0.0, -math.inf  # of the rate asked for, and time of the next frame
         self._truth, _ = self._stage.truth()
         self._sequence: list[int] = self._stage.sequence.tolist()
         self._ended = False
@@ -72,15 +78,20 @@ class SimulatedSource(Source):
             raise EndOfStream
         now_ns = self._clock()
         deadline_ns = now_ns + round(min(max(timeout_s, 0.0), _MAX_WAIT_S) * 1e9)
-        if not self._take_block((deadline_ns - now_ns) / 1e9):
-            return None
-        assert self._block is not None
-        if self._epoch_ns is None:  # after the first block is computed, so that its frames are not late
-            self._epoch_ns = self._clock()
-        laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
-        sequence = laps_ahead + self._sequence[self._frame]
-        t_ns = self._epoch_ns + round((sequence - self._sequence[0]) * 1e9 / self._stage.rate_hz)
-        now_ns = self._clock()
+        while True:
+            if not self._take_block((deadline_ns - now_ns) / 1e9):
+                return None
+            assert self._block is not None
+            if self._epoch_ns is None:  # after the first block is computed, so that its frames are not late
+                self._epoch_ns = self._clock()
+            laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
+            sequence = laps_ahead + self._sequence[self._frame]
+            t_ns = self._epoch_ns + round((sequence - self._sequence[0]) * 1e9 / self._stage.rate_hz)
+            now_ns = self._clock()
+            if t_ns >= self._wanted_ns - 0.5e9 / self._stage.rate_hz:
+                break
+            self._advance()
+            self._omitted += 1
         if self._paced:
             due_ns = t_ns + self._complete_ns
             while now_ns < min(due_ns, deadline_ns):
@@ -89,11 +100,19 @@ class SimulatedSource(Source):
             if now_ns < due_ns:
                 return None
         counts = self._block[self._next]
-        self._next += 1
-        self._frame += 1
-        if self._frame == len(self._sequence):
-            self._frame, self._lap = 0, self._lap + 1
-        return Frame(counts, sequence, t_ns, now_ns)
+        self._advance()
+        self._last_ns = t_ns
+        if self._period_ns:
+            self._wanted_ns = max(self._wanted_ns, t_ns - self._period_ns) + self._period_ns
+        return Frame(counts, sequence - self._omitted, t_ns, now_ns)
+
+    def set_rate(self, rate_hz: int) -> bool:
+        """Return the frames nearest to this rate from now on, all from the scene's own rate on; never fails."""
+        self._period_ns, self._wanted_ns = 0.0, -math.inf
+        if rate_hz < self._stage.rate_hz:
+            self._period_ns = 1e9 / rate_hz
+            self._wanted_ns = self._last_ns + self._period_ns
+        return True
 
     def truth(self) -> list[tuple[float, float]]:
         """Return the places of the fingers in the frame that was read last, mm."""
@@ -103,6 +122,12 @@ class SimulatedSource(Source):
         """Stop computing; further calls do nothing."""
         self._ended = True
         self._worker.shutdown(cancel_futures=True)
+
+    def _advance(self) -> None:
+        self._next += 1
+        self._frame += 1
+        if self._frame == len(self._sequence):
+            self._frame, self._lap = 0, self._lap + 1
 
     def _take_block(self, timeout_s: float) -> bool:
         """Take the next block if the last one is used up; return False if none came in time."""

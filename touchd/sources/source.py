@@ -58,6 +58,8 @@ class Source(Protocol):
     """Frames a second, if it knows without `meta`."""
     device: Device = Device()
     """The DAQ that was opened last."""
+    labelled: bool = False
+    """Whether it may know where the fingers really are, as a scene does and a recording with labels: see `truth`."""
     tally: Tally | None = None
     """What was not passed on, of a source with a device behind it, which can be lost and found again."""
 

@@ -130,3 +130,26 @@ def test_a_failure_of_the_twin_reaches_the_reader(instrument: Instrument, monkey
 def test_an_unknown_scene_is_refused_at_once(instrument: Instrument) -> None:
     with pytest.raises(SimulationError, match="no scene"):
         SimulatedSource("dance", instrument=instrument)
+
+
+def test_lower_rate(instrument: Instrument) -> None:
+    """At a lower rate the scene goes on in time with fewer frames, whose numbers have no gaps."""
+    clock = Clock()
+    source = SimulatedSource("tap", frames=FRAMES, instrument=instrument, clock=clock, sleep=clock.sleep)
+
+    def read(count: int) -> list[Frame]:
+        found = [source.read(10.0) for _ in range(count)]
+        assert all(frame is not None and frame.received_ns == frame.t_ns + 1_000_000 for frame in found)
+        return [frame for frame in found if frame is not None]
+
+    frames = read(10)
+    source.set_rate(50)
+    frames += read(30)
+    source.set_rate(125)
+    frames += read(10)
+    source.close()
+    assert [frame.sequence for frame in frames] == list(range(50))
+    steps_ms = np.diff([frame.t_ns for frame in frames]) / 1e6
+    assert set(steps_ms[:9]) == {8.0} == set(steps_ms[40:])
+    assert set(steps_ms[9:39]) == {16.0, 24.0}
+    assert steps_ms[9:39].mean() == 20.0
