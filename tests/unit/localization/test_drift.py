@@ -52,6 +52,15 @@ def test_stretch_and_gains(stretch: float, delay_s: float, gains: list[float]) -
     assert not drift.dead.any()
 
 
+@pytest.mark.parametrize("stretch", [-2e-2, -1e-2, -4e-3, 4e-3, 1e-2, 2e-2])
+def test_acrylic_on_another_day(stretch: float) -> None:
+    """Ten and twenty kelvin on acrylic, far beyond the first order, are known at once; and so is the way back."""
+    drift = after(untouched(stretch))
+    assert drift.stretch == pytest.approx(stretch, rel=0.05)
+    drift.set_baseline(untouched().astype(np.float32))
+    assert drift.stretch == pytest.approx(0, abs=1e-9)
+
+
 @given(
     STRETCH, st.lists(st.floats(-30, 30), min_size=4, max_size=4), st.lists(st.floats(-3, 3), min_size=4, max_size=4)
 )
