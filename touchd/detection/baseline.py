@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from touchd.config.schema import BaselineSettings
-from touchd.frame import Counts
+from touchd.detection.hum import Hum
+from touchd.frame import Acquisition, Counts
 
 Signal = NDArray[np.floating]
 """An array of the pipeline's floating-point type, float32 unless a test asks for float64."""
@@ -34,14 +35,17 @@ class Baseline:
 
     Parameters
     ----------
-    shape : tuple of int
-        Of a frame, (channels, samples).
+    acquisition : Acquisition
+        Of the frames.
     settings : BaselineSettings
     dtype : type
         Of all arrays.
     """
 
-    def __init__(self, shape: tuple[int, int], settings: BaselineSettings, dtype: DTypeLike = np.float32) -> None:
+    def __init__(self, acquisition: Acquisition, settings: BaselineSettings, dtype: DTypeLike = np.float32) -> None:
+        shape = acquisition.shape
+        self.hum = Hum(acquisition, dtype)
+        """What is taken out of every residual once there is any."""
         self.mean: Signal = np.zeros(shape, dtype)
         self.signal: Signal = np.zeros(shape, dtype)
         """The last frame, as floats; valid until the next frame."""
@@ -100,10 +104,12 @@ class Baseline:
             return None
         np.mean(frames, axis=0, out=self.mean)
         residuals = frames - self.mean
+        if self.hum.learn(residuals):
+            frames = self.mean + residuals
         energies = _energies(residuals)
         if not _steady(residuals, energies) and self._tried < self._patience:
             half = len(frames) // 2
-            frames[: len(frames) - half] = frames[half:].copy()
+            self._window[: len(frames) - half] = self._window[half:].copy()
             self._filled = len(frames) - half
             return None
         self.reset()
@@ -137,6 +143,8 @@ class Baseline:
         # One conversion, then floats alone: to mix them in one call takes twice as long, and memory each time.
         self.signal[...] = counts
         _subtract(self.signal, self.mean, self.residual)
+        if self.hum.known:
+            self.hum.remove(self.residual)
         for channel in self._silenced:
             self.residual[channel] = 0
         return self.residual_energy()

@@ -1,7 +1,7 @@
 """Is a frame a measurement, and is the plate touched? Front door of the room.
 
 `Detector.detect` numbers the frame, compares it with its predecessor, subtracts the baseline and asks the gate.
-`Detector.clean` takes tones and impulses out of a touched frame that the fingers followed do not explain.
+`Detector.clean` takes tones, impulses and hum out of a touched frame that the fingers followed do not explain.
 `Detector.adapt` closes the one feedback: what was found in the frame decides whether the baseline follows the plate,
 stays frozen or is relearned.
 """
@@ -62,7 +62,7 @@ class Detector:
         self._tones, self._impulses = Tones(acquisition, dtype), Impulses(acquisition, dtype)
         self.gate = Gate(settings.gate)
         self.liveness = Liveness()
-        self._baseline = Baseline(shape, settings.baseline, dtype)
+        self._baseline = Baseline(acquisition, settings.baseline, dtype)
         self._relearn = Relearn(shape, settings.baseline, dtype)
         self._stuck = Stuck(shape, dtype)
         self._live = self._stuck.live
@@ -141,23 +141,28 @@ class Detector:
         )  # fmt: skip
 
     def clean(self, detection: Detection) -> Detection:
-        """Take tones and impulses out of the residual of a touched frame; return the same detection if it has none.
+        """Take tones, impulses and hum out of the residual of a touched frame; return the same detection without any.
 
         What is left may be an untouched frame.
         """
         gate, tones, residual = self.gate, self._tones, detection.residual
         energy, touched, changed = detection.energy, True, False
         hits: tuple[int, ...] = ()
+        hums = False
         listens = not (self._alive and self._listened)
         if found := listens and tones.find(residual, gate.noise_energy):
             energy = self._baseline.residual_energy()
             touched = self._decide_again(energy)
             changed = not touched and gate.update(energy)
         if touched and (hits := self._impulses.blank(residual, energy)):
-            # Without them the plate may be untouched; its noise is not learned from such a frame.
+            # The plate may be untouched; its noise is not learned from such a frame, nor hum: both have low frequencies.
             energy = self._baseline.residual_energy()
             touched = self._decide_again(energy)
-        if not found and not hits:
+        elif touched and (hums := self._baseline.hum.find(residual, energy, gate.noise_energy)):
+            energy = self._baseline.residual_energy()
+            touched = self._decide_again(energy)
+            changed = not touched and gate.update(energy)
+        if not (found or hits or hums):
             return detection
         return replace(
             detection, outcome=_TOUCHED if touched else _UNTOUCHED, energy=energy, noise_changed=changed,

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from touchd.config.schema import BaselineSettings, GateSettings
 from touchd.detection.baseline import Baseline
 from touchd.detection.gate import Gate
+from touchd.frame import Acquisition
 from touchd.localization.noise import MEMORY_FRAMES, BinPower
 from touchd.sources.device_clock import DeviceClock
 
-SHAPE = (1, 64)
+ACQUISITION = Acquisition(channels=1, samples=64, sample_rate_hz=250e3)
+SHAPE = ACQUISITION.shape
 YEAR_S = 365 * 24 * 3600
 
 
@@ -40,7 +42,7 @@ class Settled:
 def resting_baseline(rate_hz: float, inputs: NDArray[np.int16], start: NDArray[np.float32]) -> Settled:
     """Have a baseline follow the same frames, of shape (period, *SHAPE), over and over until its state comes again."""
     settings = BaselineSettings()
-    baseline = Baseline(SHAPE, settings)
+    baseline = Baseline(ACQUISITION, settings)
     baseline.mean[:] = start
     elapsed_s, t_ns = 1 / rate_hz, 0
     weight = elapsed_s / (settings.time_constant_s + elapsed_s)

@@ -8,8 +8,9 @@ import pytest
 from touchd.config.schema import BaselineSettings
 from touchd.detection.baseline import Baseline
 from touchd.evaluation.dataset import residual_of
+from touchd.frame import ACQUISITIONS
 
-SHAPE = (4, 250)
+SHAPE = ACQUISITIONS["usb"].shape
 SETTINGS = BaselineSettings()
 PERIOD_NS = 8_000_000
 MEAN, TOUCH = np.random.default_rng(0).standard_normal((2, *SHAPE)) * [[[5000]], [[150]]]
@@ -19,7 +20,7 @@ class Plate:
     """Shows a baseline noisy frames, 8 ms apart."""
 
     def __init__(self, seed: int, noise: float = 10.0) -> None:
-        self.baseline, self.t_ns = Baseline(SHAPE, SETTINGS), 0
+        self.baseline, self.t_ns = Baseline(ACQUISITIONS["usb"], SETTINGS), 0
         self._rng, self._noise = np.random.default_rng(seed), noise
 
     def frame(self, mean: np.ndarray) -> np.ndarray:

@@ -58,7 +58,7 @@ def test_gate() -> None:
 
 def test_kept() -> None:
     """Where the plate is learned again in louder noise, which hides the delay, it is known from before."""
-    baseline, rng = Baseline(RIG.shape, Settings().baseline), np.random.default_rng(3)
+    baseline, rng = Baseline(RIG, Settings().baseline), np.random.default_rng(3)
     frames = PLATE + residuals(20e-9 * rng.standard_normal(FRAMES))
     baseline.learn_from(frames.astype(np.float32))
     loud = frames + 5000 * SIGMA * rng.standard_normal(frames.shape)

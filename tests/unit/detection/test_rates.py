@@ -91,7 +91,7 @@ def _shift() -> float:
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 def test_time_constant(rate_hz: int) -> None:
     """The baseline follows a step to 63 % in the time constant."""
-    baseline = Baseline(SHAPE, Settings().baseline)
+    baseline = Baseline(USB, Settings().baseline)
     t_ns = 0
     for _ in range(round(0.5 * rate_hz)):
         t_ns += round(1e9 / rate_hz)

@@ -1,0 +1,89 @@
+"""Mains hum, offsets and a machine's vibration: take what lies far below the chirp's band out of residuals.
+
+A piezoceramic disc of 300 pF at an input of high impedance, on a cable without a shield, picks up more of the mains
+than of the plate: 1 pF to a wire at 230 V is 70 nA, 70 mV in 1 Mohm, beside some 300 mV of signal. In a frame of a
+millisecond that is an offset and a slope, another in each frame, in which no energy of a finger could be told.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from touchd.frame import Acquisition
+
+Signal = NDArray[np.floating]
+
+BELOW = 0.1
+"""Frequencies up to this share of the band's lower edge are taken out: up to 5 kHz."""
+LOUD = 2.0
+"""There is hum where they hold this multiple of what white noise leaves there: six standard deviations."""
+LEAK = 0.06
+"""Or of a touched frame, this share of its energy beyond that: fingers have up to 0.03 (twin), as a frame cuts off what
+rings."""
+_TOLD = 1e-5
+"""Combinations of low frequencies with less than this of a frame, over the most, are none that a frame can tell."""
+
+
+class Hum:
+    """Knows whether there is hum, and takes it out of residuals.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    dtype : type
+        Of the residuals.
+    """
+
+    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> None:
+        channels, samples = acquisition.shape
+        columns = _low_frequencies(acquisition)
+        self._columns: Signal = np.ascontiguousarray(columns, dtype)
+        self._rows: Signal = np.ascontiguousarray(self._columns.T)
+        self._share = columns.shape[1] / samples
+        self._along: Signal = np.zeros((channels, columns.shape[1]), dtype)
+        self._part: Signal = np.zeros((channels, samples), dtype)
+        self._flat, self._energy = self._along.reshape(-1), np.zeros((), dtype)
+        self.known = False
+        """Whether there has been hum since the plate was learned; then each frame may have some."""
+
+    def learn(self, residuals: Signal) -> bool:
+        """Look for hum in untouched frames, (n, channels, samples); remove it, in place, and return whether any is."""
+        # Against the median, and in the median frame: an impulse leaves no trace there.
+        left = residuals - np.median(residuals, axis=0)
+        energy, whole = (float(np.median(np.square(each).sum(axis=(1, 2)))) for each in (left @ self._columns, left))
+        self.known = energy > LOUD * self._share / (1 - self._share) * (whole - energy)
+        if self.known:
+            residuals -= residuals @ self._columns @ self._rows
+        return self.known
+
+    def find(self, residual: Signal, energy: float, noise_energy: float) -> bool:
+        """Look for hum that has begun in a touched frame, (channels, samples); remove it, and return whether any has.
+
+        `energy` is that of the residual, `noise_energy` that of untouched ones, counts squared.
+        """
+        if self.known:
+            return False
+        np.dot(residual, self._columns, self._along)
+        self._flat.dot(self._flat, self._energy)
+        self.known = self._energy.item() > LOUD * self._share * noise_energy + LEAK * energy
+        if self.known:
+            self.remove(residual)
+        return self.known
+
+    def remove(self, residual: Signal) -> None:
+        """Remove hum from a residual, (channels, samples), in place."""
+        np.dot(residual, self._columns, self._along)
+        np.dot(self._along, self._rows, self._part)
+        np.subtract(residual, self._part, residual)
+
+
+def _low_frequencies(acquisition: Acquisition) -> NDArray[np.float64]:
+    """Return orthonormal columns, (samples, k), that hold all frequencies far below the band."""
+    n, rate_hz = acquisition.samples, acquisition.sample_rate_hz
+    seconds = (np.arange(n) - (n - 1) / 2) / rate_hz
+    hz = np.arange(0, BELOW * acquisition.chirp.band_hz[0], rate_hz / n / 4)
+    phase = 2 * np.pi * np.outer(seconds, hz)
+    waves = np.concatenate([np.cos(phase), np.sin(phase[:, 1:])], axis=1)
+    columns, size, _ = np.linalg.svd(waves, full_matrices=False)
+    return np.asarray(columns[:, size > _TOLD * size[0]])
