@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from touchd.calibration.emission import without_background
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Floats
+from touchd.detection.hum import Hum
 from touchd.errors import PlateMismatch, PlateTouched, PlateUnsteady, SignalClipped
 from touchd.frame import Acquisition
 from touchd.recording.data import Recording
@@ -19,6 +20,8 @@ MOST_REPEATED = 0.5
 LEAST_HZ, LEAST_BINS, MOST_S = 1e3, 8, 0.1
 """Of a chirp: its lowest frequency, and the least width of its band, in bins; of a frame and a period: the longest."""
 LEAST_FRAMES = 20
+BLOCK = 256
+"""Frames looked at together."""
 BLOCKS = 8
 """The recording's parts, whose medians tell drift from a finger."""
 MOST_DISTURBED = 0.2
@@ -85,9 +88,13 @@ def untouched_mean(recording: Recording, said: PlateFile) -> Untouched:
     medians = np.array([np.median(frames[part], axis=0) for part in parts])
     middle = np.array([time[part].mean() for part in parts])
     mean = np.median(medians, axis=0)
+    hum = Hum(recording.acquisition, np.float64)
+    hum.learn(frames[:BLOCK] - mean)
+    medians -= hum.of(medians - mean)
     slope = np.einsum("b,brs->rs", middle, medians - mean) / (middle**2).sum()
     signal = float((mean**2).sum())
-    energy = _energy(frames, mean, slope, time)
+    squares = _squares(frames, mean, slope, time, hum)
+    energy = squares.sum(axis=1)
     usual = float(np.median(energy))
     spread = 1.5 * float(np.median(np.abs(energy - usual)))
     kept = energy <= usual + 8 * spread + 0.02 * usual
@@ -111,16 +118,17 @@ def untouched_mean(recording: Recording, said: PlateFile) -> Untouched:
             "record again, with nothing on the plate and no interference",
         )  # fmt: skip
     some = frames[kept]
-    noise = np.sqrt(np.maximum(some.var(axis=0).mean(axis=1) - (slope**2).mean(axis=1) / 12, 0.0) / len(some))
+    noise = np.sqrt(squares[kept].mean(axis=0) / (hum.white_left * mean.shape[1] * len(some)))
     return Untouched(some.mean(axis=0), noise, len(some), recording.acquisition)
 
 
-def _energy(frames: NDArray[np.int16], mean: Floats, slope: Floats, time: Floats) -> Floats:
-    """Return each frame's distance from the mean and its drift, counts^2, shape (n,)."""
-    found = np.empty(len(frames))
-    for first in range(0, len(frames), 256):
-        part = slice(first, first + 256)
-        found[part] = ((frames[part] - mean - time[part, None, None] * slope) ** 2).sum(axis=(1, 2))
+def _squares(frames: NDArray[np.int16], mean: Floats, slope: Floats, time: Floats, hum: Hum) -> Floats:
+    """Return each frame's distance from the mean and its drift in each channel, but for hum, counts^2, shape (n, R)."""
+    found = np.empty(frames.shape[:2])
+    for first in range(0, len(frames), BLOCK):
+        part = slice(first, first + BLOCK)
+        apart = frames[part] - mean - time[part, None, None] * slope
+        found[part] = np.square(apart - hum.of(apart)).sum(axis=2)
     return found
 
 

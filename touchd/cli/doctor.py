@@ -129,7 +129,7 @@ def _examine_frames(
     yield checks.check_lost(sample)
     yield checks.check_dead(sample)
     yield checks.check_noise(sample)
-    yield checks.check_clipping(sample, source.acquisition)
+    yield checks.check_clipping(sample)
     if model is not None and pipeline is not None:
         yield _examine_baseline(sample, reference, model)
         spent_us = host.time_frames(sample, pipeline, settings.baseline.learn_frames, rate_hz)

@@ -155,7 +155,7 @@ class Detector:
             touched = self._decide_again(energy)
             changed = not touched and gate.update(energy)
         if touched and (hits := self._impulses.blank(residual, energy)):
-            # The plate may be untouched; its noise is not learned from such a frame, nor hum: both have low frequencies.
+            # Without them the plate may be untouched; neither noise nor hum is learned from such a frame.
             energy = self._baseline.residual_energy()
             touched = self._decide_again(energy)
         elif touched and (hums := self._baseline.hum.find(residual, energy, gate.noise_energy)):

@@ -7,6 +7,8 @@ millisecond that is an offset and a slope, another in each frame, in which no en
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
@@ -53,9 +55,17 @@ class Hum:
         left = residuals - np.median(residuals, axis=0)
         energy, whole = (float(np.median(np.square(each).sum(axis=(1, 2)))) for each in (left @ self._columns, left))
         self.known = energy > LOUD * self._share / (1 - self._share) * (whole - energy)
-        if self.known:
-            residuals -= residuals @ self._columns @ self._rows
+        residuals -= self.of(residuals)
         return self.known
+
+    def of(self, frames: NDArray[Any]) -> NDArray[Any] | float:
+        """Return the hum in frames or residuals, (..., channels, samples); 0 if there is none."""
+        return frames @ self._columns @ self._rows if self.known else 0.0
+
+    @property
+    def white_left(self) -> float:
+        """Share of white noise's energy that residuals have without hum."""
+        return 1 - self._share if self.known else 1.0
 
     def find(self, residual: Signal, energy: float, noise_energy: float) -> bool:
         """Look for hum that has begun in a touched frame, (channels, samples); remove it, and return whether any has.

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import permutations
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.detection.hum import Hum
 from touchd.frame import Acquisition
 
 Level = Literal["ok", "warning", "failure"]
@@ -50,9 +52,11 @@ class Finding(NamedTuple):
     """Remedy; empty if the check passed."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Sample:
     """Consecutive frames taken for the checks."""
+
+    acquisition: Acquisition
 
     counts: NDArray[np.int16]
     """ADC counts, shape (frames, channels, samples)."""
@@ -61,10 +65,22 @@ class Sample:
     corrupt: int = 0
     """Frames that arrived meanwhile but failed their CRC or header check."""
 
-    @property
+    @cached_property
+    def hum(self) -> Hum:
+        """Takes out what the daemon takes out as hum."""
+        hum = Hum(self.acquisition, np.float64)
+        hum.learn(np.diff(self.counts.astype(np.float64), axis=0))
+        return hum
+
+    @cached_property
+    def heard(self) -> Floats:
+        """`counts` without hum."""
+        return np.asarray(self.counts - self.hum.of(self.counts))
+
+    @cached_property
     def untouched(self) -> Floats:
         """Median frame, shape (channels, samples): short touches do not move a median."""
-        return np.asarray(np.median(self.counts, axis=0))
+        return np.asarray(np.median(self.heard, axis=0))
 
 
 def grade(value: float, limits: tuple[float, float]) -> Level:
@@ -93,12 +109,12 @@ def check_lost(sample: Sample) -> Finding:
 
 
 def noise_counts(sample: Sample) -> Floats:
-    """Return each channel's RMS noise in counts, from differences of successive frames.
+    """Return each channel's RMS noise in counts, but for hum, from differences of successive frames.
 
     Half the mean squared difference is the noise power. The median over frames ignores the frame in which a finger
     goes down.
     """
-    squares = 0.5 * np.square(np.diff(sample.counts.astype(np.float64), axis=0)).mean(axis=2)
+    squares = 0.5 * np.square(np.diff(sample.heard, axis=0)).mean(axis=2)
     return np.asarray(np.sqrt(np.median(squares, axis=0)))
 
 
@@ -121,13 +137,18 @@ def check_noise(sample: Sample) -> Finding:
     if len(unlike):
         level = "warning" if level == "ok" else level
         text += f"; channel {_names(unlike)} far above the others"
+    if sample.hum.known:
+        hum_db = 20 * np.log10(
+            (sample.counts - sample.heard).std(axis=(0, 2)).max() / _rms(sample.untouched)[alive].min()
+        )
+        text += f"; hum or vibration of up to {hum_db:+.0f} dB is taken out"
     fix = "move chargers, motors and switching supplies away; check shielding and ground of the receivers"
     return _found("noise", level, text, fix)
 
 
-def check_clipping(sample: Sample, acquisition: Acquisition) -> Finding:
+def check_clipping(sample: Sample) -> Finding:
     """Count samples at the ADC's limit; the baseline cannot correct clipping."""
-    top = 2 ** (acquisition.bits - 1) - 1
+    top = 2 ** (sample.acquisition.bits - 1) - 1
     clipped = (sample.counts >= top) | (sample.counts <= -top - 1)
     share = clipped.mean(axis=(0, 2))
     used = float(np.abs(sample.counts.astype(np.int32)).max() / (top + 1))
@@ -155,7 +176,7 @@ def check_baseline(sample: Sample, reference: Floats) -> Finding:
 
     Each channel is compared at its best gain. If another order of the channels fits much better, the finding names it.
     """
-    now = sample.untouched
+    now, reference = sample.untouched, reference - sample.hum.of(reference)
     changed_db = float(_changed_db(now, reference).max())
     level = grade(changed_db, CHANGED_DB)
     text = f"{changed_db:.0f} dB changed since the model's training, in the worst channel"

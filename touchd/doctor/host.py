@@ -165,7 +165,7 @@ def take(source: Source, seconds: float) -> Sample:
     if len(t_ns) < 2:
         raise SourceError(reason, "source", _CABLE)
     corrupt = source.tally.corrupt if source.tally else 0
-    return Sample(np.array(counts), np.array(sequence, np.int64), np.array(t_ns, np.int64), corrupt)
+    return Sample(source.acquisition, np.array(counts), np.array(sequence, np.int64), np.array(t_ns, np.int64), corrupt)
 
 
 def untouched(path: Path, model: Model) -> NDArray[np.float64]:

@@ -197,7 +197,7 @@ def residual_noise(recording: Recording) -> float:
     TrainingError
         The recording lacks labels, touches or untouched frames, or has no noise: one untouched frame tells none.
     """
-    noise = noise_of(recording.frames[labels(recording, least=1)[2]])
+    noise = noise_of(recording.frames[labels(recording, least=1)[2]], recording.acquisition)
     if not noise > 0:
         raise TrainingError("the untouched frames have no noise", "frames", "record more of them")
     return sqrt(1 + 1 / 2) * noise

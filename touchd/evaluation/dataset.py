@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.detection.hum import Hum
 from touchd.errors import TrainingError
 from touchd.frame import HANN, Acquisition, Plate
 from touchd.localization.features import Domain, Features
@@ -139,7 +140,7 @@ def make_dataset(
         stretch=stretch,
         delay=delay,
         position_mm=position_mm,
-        noise=noise_of(recording.frames[untouched]),
+        noise=noise_of(recording.frames[untouched], acquisition),
         sha256=digest(recording),
     )
 
@@ -225,9 +226,11 @@ def noise_energy(noise: float, acquisition: Acquisition) -> float:
     return BASELINE_NOISE * noise**2 * acquisition.channels * acquisition.samples
 
 
-def noise_of(untouched: NDArray[np.int16]) -> float:
-    """Estimate the noise deviation of a sample: lower quartile over pairs of successive untouched frames."""
+def noise_of(untouched: NDArray[np.int16], acquisition: Acquisition) -> float:
+    """Estimate a sample's noise deviation, but for hum: lower quartile over pairs of successive untouched frames."""
     if len(untouched) < 2:
         return 0.0
     pairs = untouched[: 2 * (len(untouched) // 2)].astype(np.float32)
-    return float(np.percentile((pairs[1::2] - pairs[::2]).std(axis=(1, 2)), 25) / np.sqrt(2))
+    hum, apart = Hum(acquisition), pairs[1::2] - pairs[::2]
+    hum.learn(apart)
+    return float(np.percentile(apart.std(axis=(1, 2)), 25) / np.sqrt(2 * hum.white_left))

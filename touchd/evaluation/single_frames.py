@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
 from touchd.detection.detection import Detection
+from touchd.detection.hum import Hum
 from touchd.detection.impulses import Impulses
 from touchd.errors import RecordingValues
 from touchd.evaluation.dataset import baseline_frames, beyond, noise_energy, noise_of, residual_of
@@ -66,7 +67,8 @@ class TouchedFrames:
 
     def noise_energy(self) -> float:
         """Return the noise energy of a residual, ADC counts squared."""
-        return noise_energy(noise_of(self.recording.frames[np.unique(self.beside)]), self.recording.acquisition)
+        a = self.recording.acquisition
+        return noise_energy(noise_of(self.recording.frames[np.unique(self.beside)], a), a)
 
     def look(self, i: int) -> tuple[Counts, Array, Array]:
         """Return frame i, its baseline and the difference, each of shape (channels, samples), ADC counts."""
@@ -111,14 +113,17 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames, settings
     chosen = np.linspace(0, len(frames) - 1, min(len(frames), MEMORY_FRAMES)).astype(int).tolist()
     pairs = [counts[frames.beside[i]].astype(np.float32) for i in chosen]
     noise = [(one - other) * np.float32(sqrt(3) / 2) for one, other in pairs if (one != other).any()]
-    impulses = Impulses(acquisition, np.float32)
+    hum, impulses = Hum(acquisition), Impulses(acquisition)
     if noise:
-        hit = impulses.learn(np.array(noise))
-        localizer.update(frames.baseline(0), np.array(noise)[~hit])
+        hum.learn(residuals := np.array(noise))
+        hit = impulses.learn(residuals)
+        localizer.update(frames.baseline(0), residuals[~hit])
     noise_root, live = float(np.cbrt(frames.noise_energy())), np.ones(acquisition.channels, bool)
 
     def find(i: int) -> Sequence[Touch]:
         counts, baseline, residual = frames.look(i)
+        if hum.known:
+            hum.remove(residual)
         hits = impulses.blank(residual, float(np.square(residual).sum()))
         energy = float(np.square(residual, dtype=np.float64).sum())
         detection = Detection(

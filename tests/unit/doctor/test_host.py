@@ -65,7 +65,7 @@ def test_time_frames(name: str, scene: Scene, request: pytest.FixtureRequest) ->
     recording = scene("idle")
     counts, numbers = recording.frames[:50], np.arange(50)
     pipeline = Pipeline(recording.acquisition, model, Settings())
-    spent_us = time_frames(Sample(counts, numbers, numbers * 8_000_000), pipeline, 32, 125.0)
+    spent_us = time_frames(Sample(recording.acquisition, counts, numbers, numbers * 8_000_000), pipeline, 32, 125.0)
     by_outcome = pipeline.counters.by_outcome
     assert len(spent_us) == by_outcome[Outcome.TRACKED] + by_outcome[Outcome.INFERRED] == 500
     assert (by_outcome[Outcome.TRACKED] > 400) == (model.atlas is not None)

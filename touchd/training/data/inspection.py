@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.detection.hum import Hum
 from touchd.errors import SimulationError, TrainingError
 from touchd.evaluation.dataset import baseline_frames, labels, noise_of
 from touchd.frame import Plate
@@ -145,16 +146,19 @@ def distances(session: Session) -> Iterator[str]:
 
 def unfelt(session: Session) -> Iterator[str]:
     """Warn of labelled touches whose energy does not exceed the noise."""
-    frames, noise = session.recording.frames, noise_of(session.recording.frames[session.untouched])
+    a, frames = session.recording.acquisition, session.recording.frames
+    noise = noise_of(frames[session.untouched], a)
     if noise == 0:
         return
+    hum = Hum(a)
+    hum.learn(np.diff(frames[session.untouched[:_BLOCK]].astype(np.float32), axis=0))
     pairs = baseline_frames(session.recording.timestamp_ns, session.touched, session.untouched)
     own = pairs[:, 0] == pairs[:, 1]
     energy = np.empty(len(pairs))
     for start in range(0, len(pairs), _BLOCK):
         some = slice(start, start + _BLOCK)
         residual = frames[session.touched[some]] - frames[pairs[some]].mean(axis=1, dtype=np.float32)
-        energy[some] = np.square(residual).mean(axis=(1, 2))
+        energy[some] = np.square(residual - hum.of(residual)).mean(axis=(1, 2)) / hum.white_left
     # The baseline adds its own noise: one frame's, or half of it for the mean of two frames.
     expected = noise**2 * np.where(own, 2.0, 1.5)
     # The energy of N white samples has the relative deviation sqrt(2 / N).
