@@ -26,6 +26,8 @@ from touchd.tracking.keys import KeyPress, Keys
 from touchd.tracking.tracker import Tracker
 
 SCREEN_OFF = Localization(Outcome.SCREEN_OFF)
+RINGING = Localization(Outcome.FAINT)
+"""A plate that rings from a knock hides the fingers, and lifts none."""
 # Bound once: they are asked for in every frame.
 _LEARNING, _UNTOUCHED, _TOUCHED = Outcome.LEARNING, Outcome.UNTOUCHED, Outcome.TOUCHED
 _NO_CONTACTS: list[Contact] = []
@@ -89,6 +91,8 @@ class Pipeline:
             found = self._localizer.follow(detection) if tracker.alive and not self.screen_off else None
             if found is None:
                 detection = self.detector.clean(detection)
+                if detection.sounds and tracker.holds(frame.t_ns) and not self.screen_off:
+                    found = RINGING
         self._detection, outcome = detection, detection.outcome
         if outcome <= _LEARNING:  # repeated, stuck, learning: says nothing of fingers
             found, contacts = Localization(outcome), self._without_measurement(detection)
@@ -102,7 +106,10 @@ class Pipeline:
             elif found is None:
                 found = self._localizer.localize(detection, alive=tracker.alive)
             touches = found.touches
-            contacts = tracker.track(frame.t_ns, touches, found.palm) if touches or tracker.tracks else _NO_CONTACTS
+            if found is RINGING:
+                contacts = tracker.hold(frame.t_ns)
+            else:
+                contacts = tracker.track(frame.t_ns, touches, found.palm) if touches or tracker.tracks else _NO_CONTACTS
             # Follow, freeze or relearn the baseline: the one feedback.
             self.detector.adapt(detection, bool(touches), found.departure, tracker.alive, found.plate_moved)
         counters, outcome = self.counters, found.outcome

@@ -141,32 +141,30 @@ class Detector:
         )  # fmt: skip
 
     def clean(self, detection: Detection) -> Detection:
-        """Take tones, impulses and hum out of the residual of a touched frame; return the same detection without any.
+        """Take tones, impulses and hum out of a touched frame's residual; return the same detection if it has none.
 
-        What is left may be an untouched frame.
+        What is left may be an untouched frame, or a plate that sounds by itself.
         """
         gate, tones, residual = self.gate, self._tones, detection.residual
         energy, touched, changed = detection.energy, True, False
-        hits: tuple[int, ...] = ()
-        hums = False
         listens = not (self._alive and self._listened)
         if found := listens and tones.find(residual, gate.noise_energy):
             energy = self._baseline.residual_energy()
             touched = self._decide_again(energy)
             changed = not touched and gate.update(energy)
-        if touched and (hits := self._impulses.blank(residual, energy)):
-            # Without them the plate may be untouched; neither noise nor hum is learned from such a frame.
+        hits = self._impulses.blank(residual, energy) if touched else ()
+        hums = touched and not hits and self._baseline.hum.find(residual, energy, gate.noise_energy)
+        if hits or hums:  # without them the plate may be untouched
             energy = self._baseline.residual_energy()
             touched = self._decide_again(energy)
-        elif touched and (hums := self._baseline.hum.find(residual, energy, gate.noise_energy)):
-            energy = self._baseline.residual_energy()
-            touched = self._decide_again(energy)
-            changed = not touched and gate.update(energy)
-        if not (found or hits or hums):
+            changed = hums and not touched and gate.update(energy)  # noise is not learned from a frame with an impulse
+        sounds = touched and self._impulses.in_vain > 0
+        if not (found or hits or hums or sounds):
             return detection
         return replace(
             detection, outcome=_TOUCHED if touched else _UNTOUCHED, energy=energy, noise_changed=changed,
             noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=tones.known_hz, hits=hits,
+            sounds=sounds,
         )  # fmt: skip
 
     def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:

@@ -61,7 +61,10 @@ class Impulses:
         self._flat, self._energy = self._outside.reshape(-1), np.zeros((), dtype)
         self._blocks: Signal | None = None  # made for the first impulse
         self._level = 0.0
-        self._frames = self._in_vain = 0
+        self._frames = 0
+        self.in_vain = 0
+        """Frames in a row whose noise outside the band no few samples explain: the plate sounds by itself, as after a
+        knock."""
 
     def learn(self, frames: Signal) -> NDArray[np.bool_]:
         """Estimate the noise outside the band from frames of the untouched plate, (n, channels, samples).
@@ -100,10 +103,10 @@ class Impulses:
         limit = LOUD * self._level + LEAK * energy
         loudness = self._loudness(residual) if self._level else 0.0
         if loudness <= limit:
-            self._in_vain = 0
+            self.in_vain = 0
             return ()
-        if self._in_vain >= TONE_FRAMES and self._in_vain % SELDOM:
-            self._in_vain += 1
+        if self.in_vain >= TONE_FRAMES and self.in_vain % SELDOM:
+            self.in_vain += 1
             return ()
         if self._blocks is None:
             self._blocks = self._make_blocks()
@@ -118,9 +121,9 @@ class Impulses:
             self._flat.dot(self._flat, self._energy)
             loudness = self._energy.item()
         if loudness > limit:
-            self._in_vain += 1
+            self.in_vain += 1
             return ()
-        self._in_vain = 0
+        self.in_vain = 0
         for start in starts:
             residual[:, start : start + WIDTH] = 0
         return tuple(starts)

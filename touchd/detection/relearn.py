@@ -24,8 +24,9 @@ class Reason(StrEnum):
 
 _SAME_BELOW = 0.25
 """The change is the same while less than this share of its energy differs."""
-_NOISE_ABOVE = 1.5
-"""The change is noise while successive frames differ by more than this share; independent frames differ by 2."""
+_NOISE_ABOVE, _INDEPENDENT = 1.5, 2.0
+"""The change is noise while successive frames differ by more than this share; independent frames differ by 2, and one
+that follows a far louder one, as after a knock, says no more."""
 _LOOK_NS = 50_000_000
 """A tracked finger is compared with its reference this often: what stays does so for seconds."""
 _UNSTEADY_NS = 1_000_000_000
@@ -132,7 +133,7 @@ class Relearn:
         if self._follows:
             # A running mean over some ten frames: one frame alone can resemble its predecessor by chance.
             unlike = self._distance(flat, energy, self._previous, self._previous_energy) / energy
-            self._unlike += 0.1 * (unlike - self._unlike)
+            self._unlike += 0.1 * (min(unlike, _INDEPENDENT) - self._unlike)
         if self._unlike < _NOISE_ABOVE:
             self._noise_since_ns = t_ns
         self._previous[...] = flat

@@ -250,7 +250,7 @@ class AtlasLocalizer:
         by_palms = excess > CRITERIA.fair and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
         unlikely = by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm
         if unlikely or (not tracked and self._landing.is_implausible(bins, fit, signal, excess)):
-            self._classifier.palm.miss(fit, excess, signal, t_ns)
+            self._classifier.palm.miss(fit, excess, signal, t_ns, sounds=detection.sounds)
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), inferred
 

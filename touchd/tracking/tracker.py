@@ -23,6 +23,8 @@ _SURE_FRAMES = 2
 """But not where more frames than these were asked for."""
 _LIFTING_NS = 100_000_000
 """Nor so soon after a contact has ended: a finger that lifts may show up once more."""
+_HELD_NS = 150_000_000
+"""Longest time for which contacts are kept by frames that do not tell where they are."""
 _MOST_CONTACTS = 10
 _REFRESH_NS = 100_000_000
 _SETTLED_MM, _SETTLED_MM_S, _SETTLED_SHARE = 1e-3, 1e-3, 0.01
@@ -115,6 +117,14 @@ class Tracker:
                 sure = len(self.tracks) == len(touches) == 1 and self._is_sure(touch, t_ns)
                 due |= self._confirm(self.tracks[-1], touch, sure=sure)
         return self._report(t_ns, due, elapsed_s)
+
+    def holds(self, t_ns: int) -> bool:
+        """Return whether there are contacts, and the last touches so fresh that they may stay without more of them."""
+        return self.alive and 0 <= t_ns - self._last_ns < _HELD_NS
+
+    def hold(self, t_ns: int) -> list[Contact]:
+        """Keep all contacts in a frame that says nothing of fingers; return the same as `track`."""
+        return self._report(t_ns, False, (t_ns - self._last_ns) * 1e-9)
 
     def release_all(self, t_ns: int) -> list[Contact]:
         """End every contact, as when the frames stop; return the same as `track`."""
