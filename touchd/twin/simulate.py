@@ -20,6 +20,7 @@ from touchd.recording.data import Device, Meta, Recording
 from touchd.twin.electronics import Digitiser, Electronics, noise_states
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
+from touchd.twin.physics.knock import Ringing
 from touchd.twin.rig import IDEAL, Rig
 from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.scenes.robot import COUNT, TouchSet, stage_touches
@@ -62,7 +63,8 @@ def stream(
     reference = instrument.untouched([REFERENCE_C])[0]
     digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed, noise)
     jitter.standard_normal(start)  # skip the jitter of earlier frames
-    time_s = stage.time_s
+    time_s, a = stage.time_s, instrument.acquisition
+    ringings, sample_s = [Ringing(instrument, knock) for knock in stage.knocks], np.arange(a.samples) / a.sample_rate_hz
     end = len(time_s) if stop is None else stop
     for first in range(start, end, block):
         last = min(first + block, end)
@@ -72,6 +74,9 @@ def stream(
         touches = stage.touches(first, last)
         if any(touches):
             signal += change_by(stage, instrument, first, touches, temperature_c, late_s)
+        for ringing in ringings:
+            for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
+                frame += ringing.signal(begin_s + sample_s)
         yield digitiser.counts(signal, time_s[first:last], np.array([bool(touch) for touch in touches]))
 
 

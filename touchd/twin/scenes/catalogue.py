@@ -119,6 +119,13 @@ SCENES: dict[str, Scene] = {
     "palm": Scene(fingers.palm, 4.0, "a palm lies on the plate", least_mm=80.0),
     "drop": Scene(fingers.drop, 5.0, "a drop of water falls on the plate and stays; taps beside it"),
     "interference": Scene(fingers.interference, 6.0, "tones from elsewhere; taps", "silicone"),
+    "machine": Scene(
+        fingers.machine,
+        8.0,
+        "mains hum, and knocks of rings and nails; a finger rests, others tap",
+        "fingertip",
+        least_mm=80.0,
+    ),
     "deadchannel": Scene(fingers.deadchannel, 6.0, "a receiver's wire breaks half-way; taps", "silicone"),
     "clipping": Scene(fingers.clipping, 5.0, "the gain is too high; taps", "silicone"),
     "lostframes": Scene(fingers.tap, 6.0, "frames are lost; taps", "silicone"),

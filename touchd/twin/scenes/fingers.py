@@ -9,6 +9,7 @@ import numpy as np
 
 from touchd.errors import SimulationError
 from touchd.twin.electronics import Dead, Tone
+from touchd.twin.physics.knock import Knock
 from touchd.twin.scenes.timeline import Path, Stage, anywhere, arc, line, still
 
 Key = tuple[str, float, float]
@@ -30,6 +31,8 @@ FORCES_N = {
 }  # fmt: skip
 """Forces of a light touch: contact areas of 17-26, 55-90, 17-26, 55-90, 100-150, 27-45 and 4-7 mm^2."""
 
+NAIL_DB, NAIL_S = -30.0, 3e-4
+"""Level and contact time of a nail that lands with a fingertip."""
 TWO_APART_MM, FIVE_APART_MM = 15.0, 25.0
 """Least distance of two fingers' centres, among two and among five."""
 SLIDE_MM = (30.0, 90.0)
@@ -165,6 +168,22 @@ def interference(stage: Stage, cast: Cast) -> None:
     tones = (Tone(62_347.0, -30.0, IDLE_S + 0.7), Tone(88_911.0, -36.0, IDLE_S + 0.7))
     stage.electronics = stage.electronics._replace(tones=stage.electronics.tones + tones)
     tap(stage, cast)
+
+
+def machine(stage: Stage, cast: Cast) -> None:
+    """Rest a finger on a humming plate, and tap beside it with nails, while rings knock on it."""
+    hum = (Tone(50.0, -6.0), Tone(150.0, -16.0), Tone(250.0, -20.0))
+    stage.electronics = stage.electronics._replace(tones=stage.electronics.tones + hum)
+    end_s, rests_mm, at_s = stage.end_s - END_S, anywhere(stage), IDLE_S
+    stage.lay(cast.finger, at_s, end_s, still(*rests_mm), force_n=stage.rng.uniform(*FORCES_N[cast.finger]))
+    while (at_s := at_s + stage.rng.uniform(0.4, 0.6)) < end_s:
+        stage.knocks.append(Knock(at_s, *anywhere(stage)))
+        lands_s, place_mm = at_s + stage.rng.uniform(0.3, 0.5), anywhere(stage)
+        at_s = lands_s + stage.rng.uniform(0.20, 0.35)
+        if at_s < end_s and np.hypot(*np.subtract(place_mm, rests_mm)) > FIVE_APART_MM:
+            force_n = stage.rng.uniform(*FORCES_N[cast.finger])
+            stage.lay(cast.finger, lands_s, at_s, still(*place_mm), force_n=force_n, column=1)
+            stage.knocks.append(Knock(lands_s, *place_mm, NAIL_DB, NAIL_S))
 
 
 def deadchannel(stage: Stage, cast: Cast) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
 from touchd.twin.physics.finger import TISSUES, Contact, area_of, force_of, is_compliant
+from touchd.twin.physics.knock import Knock
 
 Floats = NDArray[np.float64]
 Path = Callable[[Floats], tuple[ArrayLike, ArrayLike]]
@@ -60,6 +61,7 @@ class Stage:
     electronics: Electronics
     notes: str = ""
     laid: list[Laid] = field(default_factory=list)
+    knocks: list[Knock] = field(default_factory=list)
     label_error_mm: Floats | None = None
     """Label error, shape (n, k, 2)."""
 
