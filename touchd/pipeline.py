@@ -18,7 +18,7 @@ from touchd.detection.detector import Detector, Notify
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
-from touchd.localization.localization import Localization
+from touchd.localization.localization import SETTLES_NS, Localization
 from touchd.localization.localizer import make_localizer
 from touchd.localization.model import Model
 from touchd.outcome import Counters, Outcome
@@ -26,8 +26,6 @@ from touchd.tracking.keys import KeyPress, Keys
 from touchd.tracking.tracker import Tracker
 
 SCREEN_OFF = Localization(Outcome.SCREEN_OFF)
-RINGING = Localization(Outcome.FAINT)
-"""A plate that rings from a knock hides the fingers, and lifts none."""
 # Bound once: they are asked for in every frame.
 _LEARNING, _UNTOUCHED, _TOUCHED = Outcome.LEARNING, Outcome.UNTOUCHED, Outcome.TOUCHED
 _NO_CONTACTS: list[Contact] = []
@@ -81,6 +79,7 @@ class Pipeline:
         """Whether frames only keep the baseline, since nobody sees what is touched."""
         self._detection: Detection | None = None
         self._noise_channels: list[float] = []
+        self._rang_ns = -SETTLES_NS
 
     def process(self, frame: Frame) -> Result:
         """Take one frame through every stage, and count it, the only place where that is done."""
@@ -91,8 +90,8 @@ class Pipeline:
             found = self._localizer.follow(detection) if tracker.alive and not self.screen_off else None
             if found is None:
                 detection = self.detector.clean(detection)
-                if detection.sounds and tracker.holds(frame.t_ns) and not self.screen_off:
-                    found = RINGING
+                if detection.sounds:
+                    self._rang_ns = frame.t_ns
         self._detection, outcome = detection, detection.outcome
         if outcome <= _LEARNING:  # repeated, stuck, learning: says nothing of fingers
             found, contacts = Localization(outcome), self._without_measurement(detection)
@@ -106,7 +105,9 @@ class Pipeline:
             elif found is None:
                 found = self._localizer.localize(detection, alive=tracker.alive)
             touches = found.touches
-            if found is RINGING:
+            # A plate that rings from a knock lifts no finger, nor do frames soon after it, until the fingers are found.
+            rings = len(touches) < len(tracker.tracks) and 0 <= frame.t_ns - self._rang_ns < SETTLES_NS
+            if rings and tracker.holds(frame.t_ns):
                 contacts = tracker.hold(frame.t_ns)
             else:
                 contacts = tracker.track(frame.t_ns, touches, found.palm) if touches or tracker.tracks else _NO_CONTACTS

@@ -21,6 +21,8 @@ _QUICKLY = 8
 _STEADY_RATIO = 0.7
 _PATIENCE_WINDOWS = 20
 """A plate that is never steady is learned as it is after this many windows: a poor baseline is better than none."""
+_FAR = 0.9
+"""Share of the ADC's range: no finger changes the untouched signal by as much as a tenth of it."""
 DELAYED = 16.0
 """Power along a delay, over a sample's noise, from which the gate leaves it out: 0.5 ns of jitter at 60 dB."""
 _FEWEST_DELAYED = 8
@@ -163,6 +165,10 @@ class Baseline:
             self.delay_energy = self._energy.item() ** 2
             energy = max(energy - self.delay_energy, 0.0)
         return energy
+
+    def clips(self, top: float) -> bool:
+        """Return whether the last frame reaches the end of the ADC's range, `top`, far from where the mean is."""
+        return bool(np.logical_and(np.abs(self.signal) >= top, np.abs(self.mean) < _FAR * top).any())
 
     def energy(self) -> float:
         """Return the energy of the untouched signal, counts squared; at least 1, since a dead DAQ sends zeros."""

@@ -19,6 +19,7 @@ from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
+from touchd.detection.hum import BELOW, Hum
 from touchd.detection.impulses import Impulses
 from touchd.detection.liveness import Liveness
 from touchd.detection.pace import Pace
@@ -60,6 +61,8 @@ class Detector:
     ) -> None:
         shape = acquisition.shape
         self._tones, self._impulses = Tones(acquisition, dtype), Impulses(acquisition, dtype)
+        self._top = 2 ** (acquisition.bits - 1) - 1
+        self._below = Hum(acquisition, dtype, BELOW)
         self.gate = Gate(settings.gate)
         self.liveness = Liveness()
         self._baseline = Baseline(acquisition, settings.baseline, dtype)
@@ -158,8 +161,13 @@ class Detector:
             energy = self._baseline.residual_energy()
             touched = self._decide_again(energy)
             changed = hums and not touched and gate.update(energy)  # noise is not learned from a frame with an impulse
-        sounds = touched and self._impulses.in_vain > 0
-        if not (found or hits or hums or sounds):
+        sounds = touched and not hits and self._impulses.sounds(residual, energy)
+        if rings := sounds:  # of low frequencies in the end
+            self._below.remove(residual)
+            energy = self._baseline.residual_energy()
+            touched = self._decide_again(energy)
+            sounds = touched and (self._impulses.sounds(residual, energy) or self._baseline.clips(self._top))
+        if not (found or hits or hums or rings):
             return detection
         return replace(
             detection, outcome=_TOUCHED if touched else _UNTOUCHED, energy=energy, noise_changed=changed,

@@ -16,8 +16,8 @@ from touchd.frame import Acquisition
 
 Signal = NDArray[np.floating]
 
-BELOW = 0.1
-"""Frequencies up to this share of the band's lower edge are taken out: up to 5 kHz."""
+BELOW, FAR_BELOW = 0.5, 0.1
+"""Up to this share of the band's lower edge frequencies are taken out after a knock, 25 kHz, and of hum, 5 kHz."""
 LOUD = 2.0
 """There is hum where they hold this multiple of what white noise leaves there: six standard deviations."""
 LEAK = 0.06
@@ -35,11 +35,13 @@ class Hum:
     acquisition : Acquisition
     dtype : type
         Of the residuals.
+    below : float
+        Frequencies up to this share of the band's lower edge are hum.
     """
 
-    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> None:
+    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32, below: float = FAR_BELOW) -> None:
         channels, samples = acquisition.shape
-        columns = _low_frequencies(acquisition)
+        columns = _low_frequencies(acquisition, below)
         self._columns: Signal = np.ascontiguousarray(columns, dtype)
         self._rows: Signal = np.ascontiguousarray(self._columns.T)
         self._share = columns.shape[1] / samples
@@ -88,11 +90,11 @@ class Hum:
         np.subtract(residual, self._part, residual)
 
 
-def _low_frequencies(acquisition: Acquisition) -> NDArray[np.float64]:
+def _low_frequencies(acquisition: Acquisition, below: float) -> NDArray[np.float64]:
     """Return orthonormal columns, (samples, k), that hold all frequencies far below the band."""
     n, rate_hz = acquisition.samples, acquisition.sample_rate_hz
     seconds = (np.arange(n) - (n - 1) / 2) / rate_hz
-    hz = np.arange(0, BELOW * acquisition.chirp.band_hz[0], rate_hz / n / 4)
+    hz = np.arange(0, below * acquisition.chirp.band_hz[0], rate_hz / n / 2)
     phase = 2 * np.pi * np.outer(seconds, hz)
     waves = np.concatenate([np.cos(phase), np.sin(phase[:, 1:])], axis=1)
     columns, size, _ = np.linalg.svd(waves, full_matrices=False)

@@ -128,6 +128,10 @@ class Impulses:
             residual[:, start : start + WIDTH] = 0
         return tuple(starts)
 
+    def sounds(self, residual: Signal, energy: float) -> bool:
+        """Return whether a residual in which `blank` found nothing is louder outside the band than fingers are."""
+        return self.in_vain > 0 and self._loudness(residual) > LOUD * self._level + LEAK * energy
+
     def _loudness(self, residual: Signal) -> float:
         """Return the energy of a residual outside the band."""
         residual.dot(self._matrix, self._outside)

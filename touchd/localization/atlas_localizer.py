@@ -22,7 +22,7 @@ from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.following import Follower, Prediction
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.landing import FIRST_STEPS, Landing
-from touchd.localization.localization import UNTOUCHED, Localization
+from touchd.localization.localization import RINGS, UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.model_fit import ModelFit
 from touchd.localization.multitouch import MultitouchSearch
@@ -116,8 +116,7 @@ class AtlasLocalizer:
         if self._search.pending or not self._prediction.positions_mm:
             return None
         bins = self._plate.bins(detection.residual)
-        signal = bins.energy - self._noise.noise_energy
-        if not signal > self._noise.noise_energy + self._drift.energy:
+        if not (signal := bins.energy - self._noise.noise_energy) > self._noise.noise_energy + self._drift.energy:
             return None
         fit = self._follower.follow(bins, detection.t_ns, signal)
         self._begun = bins, fit = self._follower.settle(self._plate, detection.hits, bins, fit, shaped=True)
@@ -133,6 +132,8 @@ class AtlasLocalizer:
             self._begin(detection)
             if self._rests(detection):
                 return Localization(Outcome.STILL, self._touches)
+            if detection.sounds and alive:
+                return RINGS
         return self._localization(detection, begun, alive=alive, complete=complete)
 
     @property
@@ -153,7 +154,7 @@ class AtlasLocalizer:
         """Use the frame's live channels, and no bin beside its tones; take its time."""
         if self._plate.listen(detection):
             self._still.reset()
-        self._search.update(detection.t_ns)
+        self._search.update(detection.t_ns, rings=detection.sounds)
 
     def _localization(
         self, detection: Detection, begun: Fitted | None, *, alive: bool = True, complete: bool = False
@@ -163,9 +164,8 @@ class AtlasLocalizer:
         least = limits.keep_confidence if alive else limits.min_confidence
         self._touches, inferred = self._place(detection, least, complete, begun)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
-        palm = self._classifier.palm
-        touches = self._beside.add(detection, self._touches, palm.area, self._touch_maker, limits)
-        return Localization(outcome, touches, self._departure, self._plate_moved, palm.covers)
+        touches = self._beside.add(detection, self._touches, self._classifier.palm.area, self._touch_maker, limits)
+        return Localization(outcome, touches, self._departure, self._plate_moved, self._classifier.palm.covers)
 
     def _place(
         self, detection: Detection, min_confidence: float, complete: bool, begun: Fitted | None

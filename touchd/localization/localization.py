@@ -29,6 +29,10 @@ class Localization(Struct, gc=False, frozen=True):
 
 
 UNTOUCHED = Localization(Outcome.UNTOUCHED)
+RINGS = Localization(Outcome.FAINT)
+"""Of a frame in which the plate rings from a knock: it hides the fingers that are down."""
+SETTLES_NS = 50_000_000
+"""Soon after such frames there may be fingers that are not found."""
 
 
 class Localizer(Protocol):

@@ -8,6 +8,7 @@ from touchd.localization.finger_count import LARGE, FingerCount
 from touchd.localization.fit import Bins, Fit, Steps, finish, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
+from touchd.localization.localization import SETTLES_NS
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import Pursuit, are_merged, is_worth
 from touchd.localization.weighted_fit import WeightedFit
@@ -63,6 +64,7 @@ class MultitouchSearch:
         """Tells fingers that a fit lacks, and those that are none."""
         self._t_ns = self._before_ns = 0  # of the last frame and the one before
         self._spent = 0.0  # by the solver before this frame
+        self._silent_ns = 0  # when the last knock has faded
         self.reset()
 
     def reset(self) -> None:
@@ -96,8 +98,17 @@ class MultitouchSearch:
         """End the search that goes on, if any: the fingers that it began with have changed."""
         self._running = None
 
-    def update(self, t_ns: int) -> None:
-        """Take the time of a touched frame: a search may use what has passed since the last one."""
+    def update(self, t_ns: int, *, rings: bool = False) -> None:
+        """Take the time of a touched frame: a search may use what has passed since the last one.
+
+        One that began while the plate `rings` from a knock, or soon after, finds what it sounds like: once the plate is
+        silent another one begins.
+        """
+        if rings:
+            self._silent_ns = t_ns + SETTLES_NS
+        if rings or self._begun_ns < self._silent_ns <= t_ns:
+            self.cancel()
+            self._begun_ns = t_ns
         if t_ns == self._t_ns:
             return  # the frame is known already
         self._before_ns, self._t_ns, self._spent = self._t_ns, t_ns, self._solver.spent
