@@ -179,6 +179,20 @@ def test_channel_that_dies(dead: int) -> None:
 
 
 @pytest.mark.parametrize("dead", range(4))
+def test_channel_that_comes_back(dead: int) -> None:
+    """A channel that has died under a finger and comes back tells of the first finger after that one."""
+    whole, rig = Rig(), Rig()
+    for _ in range(40):
+        residual = rig.residual((50, 40, 1))
+        residual[dead] = -ATLAS.baseline[dead]
+        without = rig.see(residual, (51, 41)).touches
+    rig.lift(2)
+    (now,), (known,) = rig.touch((50, 40, 1)), whole.touch((50, 40, 1))
+    assert now.sigma_mm == pytest.approx(known.sigma_mm, rel=0.02)
+    assert without[0].sigma_mm > 1.05 * known.sigma_mm
+
+
+@pytest.mark.parametrize("dead", range(4))
 def test_dead_channel(dead: int) -> None:
     """A finger is placed with a channel that was dead from the start."""
     rig = Rig()
