@@ -105,20 +105,25 @@ class Pipeline:
             elif found is None:
                 found = self._localizer.localize(detection, alive=tracker.alive)
             touches = found.touches
-            # A plate that rings from a knock lifts no finger, nor do frames soon after it, until the fingers are found.
-            rings = len(touches) < len(tracker.tracks) and 0 <= frame.t_ns - self._rang_ns < SETTLES_NS
-            if rings and tracker.holds(frame.t_ns):
+            if outcome is _TOUCHED and self._rings(frame.t_ns, len(touches)):
                 contacts = tracker.hold(frame.t_ns)
             else:
                 contacts = tracker.track(frame.t_ns, touches, found.palm) if touches or tracker.tracks else _NO_CONTACTS
+            moving = any(contact.phase != "hold" for contact in contacts) if contacts else False
             # Follow, freeze or relearn the baseline: the one feedback.
-            self.detector.adapt(detection, bool(touches), found.departure, tracker.alive, found.plate_moved)
+            self.detector.adapt(detection, bool(touches), found.departure, tracker.alive, found.plate_moved, moving)
         counters, outcome = self.counters, found.outcome
         counters.by_outcome[outcome._value_] += 1  # to index by an enum takes four times as long
         if detection.lost:
             counters.lost += detection.lost
         keys = self._keys.update(contacts) if contacts else _NO_KEYS
         return Result(frame.t_ns, frame.sequence, outcome, contacts, keys, len(found.touches))
+
+    def _rings(self, t_ns: int, touches: int) -> bool:
+        """Return whether a knock hides fingers: none lifts by it, nor soon after it, until all are found again."""
+        return (
+            0 <= t_ns - self._rang_ns < SETTLES_NS and touches < len(self._tracker.tracks) and self._tracker.holds(t_ns)
+        )
 
     def release(self, t_ns: int) -> Result:
         """End all contacts because no further frame comes."""

@@ -50,6 +50,24 @@ def test_every_touch_is_found_once_and_nothing_else(name: str, seed: int, instru
     assert np.median(np.linalg.norm(result.error_mm, axis=1)) < 3.0
 
 
+def test_a_stroke_beside_a_finger_that_is_absorbed(instrument: Instrument) -> None:
+    """A finger that has rested for `absorb_s` is absorbed after a stroke beside it, which is one contact to its end."""
+    stage = empty_stage(9.0, seed=2500801)
+    stage.lay("human", 0.8, 8.7, still(50.0, 150.0), force_n=0.6)
+
+    def circle(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 130 + 30 * np.cos(2.5 * t), 130 + 30 * np.sin(2.5 * t)
+
+    stage.lay("silicone", 1.5, 7.0, circle, force_n=2.0, column=1)
+    settings = Settings.model_validate({"baseline": {"absorb_s": 4.0}})
+    outcome = play(stage, instrument, seed=2500801, settings=settings)
+    ends_s = [event.t_ns * 1e-9 for event in outcome.touches for c in event.contacts if c.phase == "up"]
+    assert len(ends_s) == 2
+    assert 6.9 < ends_s[0] < 7.1, "the stroke's"
+    assert ends_s[0] + 0.2 < ends_s[1] < 7.5, "the finger's that rests"
+    assert [reason for reason, _ in outcome.notices] == ["absorbed", "lifted"]
+
+
 @pytest.mark.parametrize("speed_mm_s", [1000, 1500, 2000])
 def test_a_finger_that_lands_as_it_flicks_is_one_contact(speed_mm_s: float, instrument: Instrument) -> None:
     """It goes farther from frame to frame than a fit follows, before its velocity is known."""

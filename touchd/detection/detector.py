@@ -175,7 +175,9 @@ class Detector:
             sounds=sounds,
         )  # fmt: skip
 
-    def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
+    def adapt(
+        self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False, moving: bool = False
+    ) -> None:
         """Follow, freeze or relearn the baseline, by what came of a measured frame.
 
         Parameters
@@ -190,6 +192,8 @@ class Detector:
             Whether a contact is down.
         moved : bool
             Whether its residual is the plate's own movement, which the baseline follows quickly.
+        moving : bool
+            Whether a contact moves, lands or lifts.
         """
         self._alive = alive
         if detection.outcome is _UNTOUCHED:
@@ -217,7 +221,8 @@ class Detector:
             self._baseline.follow(quickly=moved)
             self.followed_ns = detection.t_ns
         whole = energy + self._baseline.delay_energy
-        reason = self._relearn.update(detection.t_ns, detection.residual, whole, finger, departure and not finger)
+        departure &= not finger
+        reason = self._relearn.update(detection.t_ns, detection.residual, whole, finger, departure, moving)
         if reason is not None:
             level_db = 10 * math.log10(energy / self._signal_energy)
             self._notify(reason.value, {"frame": self.sequence, "level_db": round(level_db, 1)})

@@ -33,6 +33,9 @@ _UNSTEADY_NS = 1_000_000_000
 """A change without a finger that never repeats for this long is noise."""
 _RESTLESS_NS = 2_000_000_000
 """A change without a finger that goes on for this long, and has not stayed the same, is interference or water."""
+_REST_NS = 300_000_000
+"""What stays is not absorbed while another contact moves, lands or lifts, nor this soon after: the plate could not be
+learned under it, and it would end. At most it waits as long again."""
 _LIFTING_FRAMES, _LIFTED_FRAMES = 4, 16
 """What has lifted is gone after 4 frames, and the next 16 tell what it has left: with a sixteenth of one's noise."""
 
@@ -62,11 +65,14 @@ class Relearn:
         """Whether the gate has been open since the last reset."""
         self._same_since_ns: int | None = None
         self._noise_since_ns = self._looked_ns = self._fingerless_since_ns = 0
+        self._moved_ns = -_REST_NS
         self._follows = False  # whether `_previous` is the predecessor
         self._unlike = 0.0
         self._lifted = 0
 
-    def update(self, t_ns: int, residual: Signal, energy: float, finger: bool, departure: bool) -> Reason | None:
+    def update(
+        self, t_ns: int, residual: Signal, energy: float, finger: bool, departure: bool, moving: bool = False
+    ) -> Reason | None:
         """Add a frame seen with the gate open, and return the reason to relearn the baseline, if there is one.
 
         Parameters
@@ -78,8 +84,12 @@ class Relearn:
             Whether a finger was found in the frame, or a contact is down.
         departure : bool
             Whether the negative of the residual is a finger.
+        moving : bool
+            Whether a contact moves, lands or lifts.
         """
         self.active = True
+        if moving:
+            self._moved_ns = t_ns
         if self._same_since_ns is None:
             self._begin(t_ns, residual.reshape(-1), energy)
             self._noise_since_ns = self._looked_ns = self._fingerless_since_ns = t_ns
@@ -98,8 +108,10 @@ class Relearn:
             self._follow_departure(residual, departure)
         if self._lifted == _LIFTING_FRAMES + _LIFTED_FRAMES:
             return Reason.LIFTED
-        if t_ns - self._same_since_ns >= self._absorb_ns:
-            return Reason.ABSORBED
+        same_ns = t_ns - self._same_since_ns
+        if same_ns >= self._absorb_ns:
+            waits = same_ns < 2 * self._absorb_ns and 0 <= t_ns - self._moved_ns < _REST_NS
+            return None if waits else Reason.ABSORBED
         if t_ns - self._noise_since_ns >= _UNSTEADY_NS:
             return Reason.NOISE
         return None

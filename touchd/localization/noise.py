@@ -14,6 +14,8 @@ DROWNED = 10.0
 """A bin with 10 times the noise power of most others holds an interfering tone and is masked."""
 _MASK_FRAMES = 16
 """Untouched frames after which bins are masked."""
+_OUTDATED = 1.1
+"""The noise in use is another once it has more energy than was known, or less, by this factor."""
 SIGNIFICANT = 80.0
 """Energy, in variances of a bin's part, that a fit must explain: at the best of a thousand positions white noise
 explains some 15, and up to twice that where the window correlates neighbouring bins."""
@@ -65,11 +67,16 @@ class BinPower:
         np.add(self.power, self._square, out=self.power)
         return self._frames == _MASK_FRAMES
 
+    @property
+    def is_known(self) -> bool:
+        """Whether `quiet` masks bins."""
+        return self._frames >= _MASK_FRAMES
+
     def quiet(self) -> NDArray[np.bool_]:
         """Return which values do not drown in noise, shape (channels * 2 * bins,); all before 16 frames."""
         of_bins = self.power.reshape(self._shape).sum(axis=1, keepdims=True) / self._white
         usual = float(np.median(of_bins))
-        if self._frames < _MASK_FRAMES or usual <= 0:
+        if not self.is_known or usual <= 0:
             return np.ones(self.power.shape, bool)
         return np.repeat(of_bins < DROWNED * usual, 2, axis=1).reshape(-1)
 
@@ -106,7 +113,7 @@ class NoiseModel:
         self._error, self._noise_scale = atlas.error, d.noise_scale
         self._energy = np.zeros((), dtype)
         self._last, self._before = np.zeros(atlas.size, dtype), np.zeros(atlas.size, dtype)
-        self.mask = None
+        self.mask, self.noise_energy = None, 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -119,9 +126,9 @@ class NoiseModel:
         self._bin_power.restart()
 
     def update(self, bins: Array) -> bool:
-        """Add the bins of an untouched frame; return whether bins are masked by the noise from this frame on."""
+        """Add the bins of an untouched frame; return whether noise or masked bins are others: call `set_channels`."""
         self._compare(bins)
-        return self._bin_power.update(bins)
+        return self._bin_power.update(bins) or self._is_outdated()
 
     def set_channels(self, live: NDArray[np.bool_], directions: Array, quiet: NDArray[np.bool_] | None = None) -> None:
         """Use these channels, shape (channels,), without the bins that drown.
@@ -177,6 +184,15 @@ class NoiseModel:
         signal = bins.energy - self.noise_energy
         excess = self.excess(fit.residual_energy, signal)
         return signal, excess, CRITERIA.confidence(excess) if sum(fit.energies) > self.min_signal_energy else 0.0
+
+    def _is_outdated(self) -> bool:
+        """Return whether the noise has become another while nothing else called for `set_channels`."""
+        power, known = self._bin_power.power, self.noise_energy
+        if self.mask is None:
+            np.add.reduce(power, out=self._energy)
+        else:
+            power.dot(self.mask, self._energy)
+        return self._bin_power.is_known and not known <= _OUTDATED * self._energy.item() <= _OUTDATED**2 * known
 
     def _compare(self, bins: Array) -> None:
         """Average the squared cosine between successive noise frames: its mean is one over the number of shapes."""

@@ -50,6 +50,7 @@ class PlateModel:
         self._quiet: NDArray[np.bool_] | None = None
         self._tones_hz: tuple[float, ...] = ()
         """Tones beside which no bin is used."""
+        self._left_out = False  # whether `drop_silent` has left out channels
         self._vector: Array = np.zeros(atlas.size, dtype)
         self._energy = np.zeros((), dtype)
         self._baseline = atlas.baseline.copy()
@@ -118,6 +119,8 @@ class PlateModel:
         """Follow noise and baseline on an untouched frame; return whether it updated the noise model."""
         if detection.live is not self._live or detection.tones_hz is not self._tones_hz:
             self.listen(detection)
+        if self._left_out:  # with the gate closed every channel holds what the baseline does
+            self._select()
         if detection.noise_changed:
             self.noise.restart()
         self._untouched_ns += detection.period_ns
@@ -168,11 +171,15 @@ class PlateModel:
         return math.sqrt(field_energy) / self.signal_rms
 
     def drop_silent(self, detection: Detection) -> bool:
-        """Leave out channels that have died since the baseline was learned; return whether there are any."""
+        """Leave out channels that have died since the baseline was learned, until the plate is untouched.
+
+        Return whether there are any.
+        """
         silent = self.drift.silent(detection.residual, detection.baseline)
         if not silent.any() or silent.all() or not (silent & self.noise.channels).any():
             return False
         self._use(self.noise.channels & ~silent & self._live)
+        self._left_out = True
         return True
 
     def bins(self, residual: Signal, hits: tuple[int, ...] = ()) -> Bins:
@@ -200,6 +207,7 @@ class PlateModel:
 
     def _select(self) -> None:
         """Leave out dead channels, and bins that drown in noise."""
+        self._left_out = False
         self._use(~self.drift.dead & self._live)
 
     def _use(self, channels: NDArray[np.bool_]) -> None:

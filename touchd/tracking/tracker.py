@@ -15,6 +15,9 @@ from touchd.tracking.face import FaceAverage, SteadyKind, ellipse_of
 from touchd.tracking.one_euro import OneEuro
 
 _NEVER = 1e9  # mm: finite, as the assignment asks
+_GOING, _LONGEST_S = 0.25, 0.1
+"""A finger is looked for where it was, and where it was going, at this price for the way there, in mm per mm: else one
+that lifts as it comes near another takes that one's place. It is predicted so far ahead at most."""
 _RELEASE_FRAMES = 2
 _SURE_CONFIDENCE, _SURE_SIGMA_MM = 0.99, 0.3
 """One frame is enough for a lone finger surer than this. Of fingertips, 96 in 100 are in the first frame that shows
@@ -65,7 +68,8 @@ class Tracker:
 
     A finger is reported `down` once it was found in `confirm_frames` frames in a row, a lone and sure one in its first
     frame, and `up` once it was missing from 2 of them. Which finger is which is decided by the assignment of
-    positions to contacts with the smallest total distance, none farther than `reach_mm`.
+    positions to contacts with the smallest total distance, from where they were or were going. None comes farther than
+    `reach_mm`.
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -108,7 +112,7 @@ class Tracker:
             self._settled = same and not due and self.tracks[0].has_settled(touches[0])
             return self._report(t_ns, due, elapsed_s)
         self._settled = due = False
-        matched = self._match(touches)
+        matched = self._match(touches, elapsed_s)
         for track, touch in zip(self.tracks, matched, strict=True):
             due |= self._miss(track, palm) if touch is None else self._advance(track, touch, elapsed_s)
         for touch in touches:
@@ -134,12 +138,12 @@ class Tracker:
         ends = [self._miss(track) for track in self.tracks]
         return self._report(t_ns, any(ends), 0.0)
 
-    def _match(self, touches: Sequence[Touch]) -> list[Touch | None]:
+    def _match(self, touches: Sequence[Touch], elapsed_s: float) -> list[Touch | None]:
         """Return, for each track, the touch that continues it."""
         tracks = self.tracks
         if not tracks or not touches:
             return [None] * len(tracks)
-        costs = [[self._cost(track, touch) for touch in touches] for track in tracks]
+        costs = [[self._cost(track, touch, elapsed_s) for touch in touches] for track in tracks]
         nearest = [row.index(min(row)) for row in costs]
         if len(set(nearest)) == len(nearest) and all(min(row) < _NEVER for row in costs):
             # Each has one nearest to it, and no two the same: no choice can be cheaper.
@@ -149,9 +153,15 @@ class Tracker:
         columns = assign([row + alone for row in costs])
         return [touches[j] if j < len(touches) else None for j in columns]
 
-    def _cost(self, track: Track, touch: Touch) -> float:
-        distance_mm = hypot(track.filter.x_mm - touch.x_mm, track.filter.y_mm - touch.y_mm)
-        return distance_mm if distance_mm <= self._reach_mm else _NEVER
+    def _cost(self, track: Track, touch: Touch, elapsed_s: float = 0.0) -> float:
+        at = track.filter
+        x_mm, y_mm = touch.x_mm - at.x_mm, touch.y_mm - at.y_mm
+        distance_mm = hypot(x_mm, y_mm)
+        if distance_mm > self._reach_mm:
+            return _NEVER
+        ahead_s = min(elapsed_s * (1 + track.missing), _LONGEST_S)
+        off_mm = hypot(x_mm - at.vx_mm_s * ahead_s, y_mm - at.vy_mm_s * ahead_s)
+        return min(distance_mm, off_mm + _GOING * distance_mm)
 
     def _advance(self, track: Track, touch: Touch, elapsed_s: float) -> bool:
         track.missing = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from touchd.config.schema import BaselineSettings
 from touchd.detection.relearn import Reason, Relearn
@@ -71,6 +72,16 @@ def test_finger_comes_to_rest() -> None:
     assert reason is not None
     assert reason[1] is Reason.ABSORBED
     assert 0 <= (reason[0] - 1003) * PERIOD_NS - 30e9 < 50e6 + PERIOD_NS
+
+
+@pytest.mark.parametrize(("until", "absorbed"), [(3000, 3750), (3740, 3777), (4500, 4537), (9000, 7500)])
+def test_absorbed_beside_a_stroke(until: int, absorbed: int) -> None:
+    """What rests is absorbed 0.3 s after no other contact moves any more, or after a minute."""
+    relearn = Relearn(SHAPE, BaselineSettings())
+    for number, residual in enumerate(still(absorbed + 1)):
+        energy = float(np.sum(residual.astype(float) ** 2))
+        reason = relearn.update(number * PERIOD_NS, residual, energy, True, False, moving=number < until)
+        assert reason is (Reason.ABSORBED if number == absorbed else None)
 
 
 def test_clock_steps_back() -> None:

@@ -12,6 +12,9 @@ import pytest
 from tests.fields import COUNTS, RIG, Finger
 from tests.unit.localization.rig import ATLAS, FIELD, FRAME_NS, Rig, at
 from touchd.config.schema import Settings
+from touchd.detection.pace import USUAL_NS
+from touchd.localization.noise import MEMORY_FRAMES
+from touchd.localization.plate_model import NOISE_NS
 from touchd.localization.water import DRY_NS
 from touchd.outcome import Outcome
 
@@ -179,6 +182,20 @@ def test_channel_that_dies(dead: int) -> None:
 
 
 @pytest.mark.parametrize("dead", range(4))
+def test_channel_that_comes_back(dead: int) -> None:
+    """A channel that has died under a finger and comes back tells of the first finger after that one."""
+    whole, rig = Rig(), Rig()
+    for _ in range(40):
+        residual = rig.residual((50, 40, 1))
+        residual[dead] = -ATLAS.baseline[dead]
+        without = rig.see(residual, (51, 41)).touches
+    rig.lift(2)
+    (now,), (known,) = rig.touch((50, 40, 1)), whole.touch((50, 40, 1))
+    assert now.sigma_mm == pytest.approx(known.sigma_mm, rel=0.02)
+    assert without[0].sigma_mm > 1.05 * known.sigma_mm
+
+
+@pytest.mark.parametrize("dead", range(4))
 def test_dead_channel(dead: int) -> None:
     """A finger is placed with a channel that was dead from the start."""
     rig = Rig()
@@ -266,6 +283,19 @@ def test_sigma() -> None:
         assert np.mean(np.abs(weighed) < 2) > 0.9, f"noise {noise}"
     assert usual[0] < usual[1] < usual[2]
     assert 0.5 < np.mean(np.abs(weighed) < 1) < 0.9, "where noise decides"
+
+
+@pytest.mark.parametrize(("before", "after"), [(1.0, 4.0), (4.0, 1.0)])
+def test_noise_that_creeps(before: float, after: float) -> None:
+    """Noise that changes within minutes, so that no frame shows a step, is that of the next finger's standard error."""
+    rig, known = Rig(before), Rig(after)
+    frames = 12_000
+    for k in range(frames):
+        rig.noise = before * (after / before) ** (k / frames)
+        rig.lift()
+    rig.lift(3 * MEMORY_FRAMES * math.ceil(NOISE_NS / USUAL_NS))
+    sigmas = [float(np.median([one.touch((50, 40, 1))[0].sigma_mm for _ in range(9)])) for one in (rig, known)]
+    assert sigmas[0] == pytest.approx(sigmas[1], rel=0.1)
 
 
 def test_still_finger() -> None:

@@ -202,6 +202,30 @@ def test_passing_fingers() -> None:
     assert ys == pytest.approx(downs, abs=0.5)
 
 
+@pytest.mark.parametrize("lost", [0, 1])
+def test_fingers_in_line(lost: int) -> None:
+    """Two fingers that swipe in line, farther from frame to frame than they are apart, keep their ids."""
+    stroke = Stroke()
+    apart_mm, way_mm, frames = 14.0, 120.0, 12 * (1 + lost)
+    for k in [*[0] * 6, *range(0, frames, 1 + lost), *[frames] * 6]:
+        along_mm = 50 + way_mm * (0.5 - 0.5 * math.cos(math.pi * k / frames))
+        stroke.t_ns += lost * PERIOD_NS
+        stroke.feed(at(along_mm, 60), at(along_mm + apart_mm, 60))
+    assert [c.id for c in sorted(stroke.reports[-1], key=lambda c: c.x_mm)] == [1, 2]
+    assert stroke.phases(1).count("down") == stroke.phases(2).count("down") == 1
+
+
+@pytest.mark.parametrize("ahead_mm", [0.0, 0.5, 1.0])
+def test_finger_that_lifts_near_another(ahead_mm: float) -> None:
+    """A finger that lifts as it comes near another, which moves a little, ends, and the other one stays."""
+    stroke = Stroke()
+    for k in range(8):
+        stroke.feed(at(20 + 10 * k, 60), at(100, 60))
+    stroke.feed(at(100 - ahead_mm, 60), frames=3)
+    assert stroke.phases(1)[-1] == "up"
+    assert "up" not in stroke.phases(2)
+
+
 def test_far_away() -> None:
     """A finger that lands far away is another contact."""
     stroke = Stroke()
