@@ -1,7 +1,7 @@
 """Is a frame a measurement, and is the plate touched? Front door of the room.
 
 `Detector.detect` numbers the frame, compares it with its predecessor, subtracts the baseline and asks the gate.
-`Detector.clean` takes tones, impulses and hum out of a touched frame that the fingers followed do not explain.
+`Detector.clean` takes out of a touched frame that the fingers followed do not explain what is no finger.
 `Detector.adapt` closes the one feedback: what was found in the frame decides whether the baseline follows the plate,
 stays frozen or is relearned.
 """
@@ -12,20 +12,18 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import DTypeLike
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
-from touchd.detection.hum import BELOW, Hum
-from touchd.detection.impulses import Impulses
+from touchd.detection.interference import Interference
 from touchd.detection.liveness import Liveness
 from touchd.detection.pace import Pace
 from touchd.detection.relearn import Reason, Relearn
 from touchd.detection.stuck import LONGEST_CYCLE, Stuck
-from touchd.detection.tones import LISTEN_EVERY, RENEW_EVERY, Tones
+from touchd.detection.tones import LISTEN_EVERY, RENEW_EVERY
 from touchd.frame import Acquisition, Frame
 from touchd.outcome import Outcome
 
@@ -60,12 +58,11 @@ class Detector:
         self, acquisition: Acquisition, settings: Settings, notify: Notify, dtype: DTypeLike = np.float32
     ) -> None:
         shape = acquisition.shape
-        self._tones, self._impulses = Tones(acquisition, dtype), Impulses(acquisition, dtype)
-        self._top = 2 ** (acquisition.bits - 1) - 1
-        self._below = Hum(acquisition, dtype, BELOW)
         self.gate = Gate(settings.gate)
         self.liveness = Liveness()
         self._baseline = Baseline(acquisition, settings.baseline, dtype)
+        self._interference = Interference(acquisition, self._baseline, self.gate, dtype)
+        self._tones, self._impulses = self._interference.tones, self._interference.impulses
         self._relearn = Relearn(shape, settings.baseline, dtype)
         self._stuck = Stuck(shape, dtype)
         self._live = self._stuck.live
@@ -77,7 +74,7 @@ class Detector:
         """Number of the last frame that was not repeated; before the first one, which may have any, far below 0."""
         self._last_ns = 0
         self._alive = False
-        self._was_open = self._listened = False
+        self._listened = False
         self.followed_ns = 0
         """Time of the last frame that moved the baseline."""
         self.configure(settings)
@@ -116,7 +113,7 @@ class Detector:
         if self._learning:
             return self._learning_frame(frame, lost)
         energy = baseline.subtract(frame.counts, frame.t_ns)
-        self._was_open = was_open = gate.is_open
+        was_open = gate.is_open
         if tones.known_hz:
             baseline.keep()  # else what a tone has left in the mean while it was learned would stay there for ever
             if not was_open and not frame.sequence % (RENEW_EVERY * pace.slow_every):
@@ -128,7 +125,7 @@ class Detector:
             self._listened = touched and not frame.sequence % LISTEN_EVERY
             if self._listened and tones.find(baseline.residual, gate.noise_energy):
                 energy = baseline.residual_energy()
-                touched = self._decide_again(energy)
+                touched = gate.decide_again(energy)
             if not touched and gate.is_too_quiet(energy):
                 touched = gate.is_open = True  # not the finger has lifted, but a tone has ended that was louder
         if stuck.doubtful or (touched and stuck.returns(energy)):
@@ -144,36 +141,8 @@ class Detector:
         )  # fmt: skip
 
     def clean(self, detection: Detection) -> Detection:
-        """Take tones, impulses and hum out of a touched frame's residual; return the same detection if it has none.
-
-        What is left may be an untouched frame, or a plate that sounds by itself.
-        """
-        gate, tones, residual = self.gate, self._tones, detection.residual
-        energy, touched, changed = detection.energy, True, False
-        listens = not (self._alive and self._listened)
-        if found := listens and tones.find(residual, gate.noise_energy):
-            energy = self._baseline.residual_energy()
-            touched = self._decide_again(energy)
-            changed = not touched and gate.update(energy)
-        hits = self._impulses.blank(residual, energy) if touched else ()
-        hums = touched and not hits and self._baseline.hum.find(residual, energy, gate.noise_energy)
-        if hits or hums:  # without them the plate may be untouched
-            energy = self._baseline.residual_energy()
-            touched = self._decide_again(energy)
-            changed = hums and not touched and gate.update(energy)  # noise is not learned from a frame with an impulse
-        sounds = touched and not hits and self._impulses.sounds(residual, energy)
-        if rings := sounds:  # of low frequencies in the end
-            self._below.remove(residual)
-            energy = self._baseline.residual_energy()
-            touched = self._decide_again(energy)
-            sounds = touched and (self._impulses.sounds(residual, energy) or self._baseline.clips(self._top))
-        if not (found or hits or hums or rings):
-            return detection
-        return replace(
-            detection, outcome=_TOUCHED if touched else _UNTOUCHED, energy=energy, noise_changed=changed,
-            noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=tones.known_hz, hits=hits,
-            sounds=sounds,
-        )  # fmt: skip
+        """Take tones, impulses, hum and knocks out of a touched frame, see `Interference.clean`."""
+        return self._interference.clean(detection, listens=not (self._alive and self._listened))
 
     def adapt(
         self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False, moving: bool = False
@@ -291,11 +260,6 @@ class Detector:
             self.followed_ns = self.liveness.measured_ns = frame.t_ns
             learned = baseline.learned()
         return self._without_measurement(Outcome.LEARNING, frame, lost, learned)
-
-    def _decide_again(self, energy: float) -> bool:
-        """Return what the gate decides of a frame from which something was taken out."""
-        self.gate.is_open = self._was_open
-        return self.gate.decide(energy)
 
     def _without_measurement(
         self, outcome: Outcome, frame: Frame, lost: int, learned: Signal | None = None

@@ -53,7 +53,7 @@ class Gate:
         self._run, self._below, self._due = 0, False, 0
         self._reported_energy = 0.0
         self._last: deque[float] = deque(maxlen=_LEARN_FRAMES)
-        self.is_open = False
+        self.is_open = self._was_open = False
         self._periods = 1.0
         self.configure(settings)
 
@@ -83,8 +83,14 @@ class Gate:
 
     def decide(self, energy: float) -> bool:
         """Return whether the gate is open for a frame whose residual holds this energy (counts squared)."""
+        self._was_open = self.is_open
         self.is_open = energy > (self._close_below if self.is_open else self.threshold_energy)
         return self.is_open
+
+    def decide_again(self, energy: float) -> bool:
+        """Return the same of a frame that has been decided, but from which something was taken out."""
+        self.is_open = self._was_open
+        return self.decide(energy)
 
     def is_too_quiet(self, energy: float) -> bool:
         """Return whether noise holds less than this energy (counts squared) as seldom as it opens the gate."""

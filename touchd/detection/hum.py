@@ -83,6 +83,11 @@ class Hum:
             self.remove(residual)
         return self.known
 
+    def put_back(self, residual: Signal) -> None:
+        """Put back what `find` has just removed: it was no hum."""
+        self.known = False
+        np.add(residual, self._part, residual)
+
     def remove(self, residual: Signal) -> None:
         """Remove hum from a residual, (channels, samples), in place."""
         np.dot(residual, self._columns, self._along)

@@ -130,7 +130,11 @@ class Impulses:
 
     def sounds(self, residual: Signal, energy: float) -> bool:
         """Return whether a residual in which `blank` found nothing is louder outside the band than fingers are."""
-        return self.in_vain > 0 and self._loudness(residual) > LOUD * self._level + LEAK * energy
+        return self.in_vain > 0 and self.is_loud(residual, energy)
+
+    def is_loud(self, residual: Signal, energy: float) -> bool:
+        """Return whether a residual, of this energy, is louder outside the band than noise and fingers are."""
+        return self._level > 0 and self._loudness(residual) > LOUD * self._level + LEAK * energy
 
     def _loudness(self, residual: Signal) -> float:
         """Return the energy of a residual outside the band."""

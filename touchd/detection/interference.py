@@ -1,0 +1,79 @@
+"""What is no finger in a touched frame: tones, impulses, hum, and the plate's own sound after a knock."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+from numpy.typing import DTypeLike
+
+from touchd.detection.baseline import Baseline
+from touchd.detection.detection import Detection
+from touchd.detection.gate import Gate
+from touchd.detection.hum import BELOW, Hum
+from touchd.detection.impulses import Impulses
+from touchd.detection.tones import Tones
+from touchd.frame import Acquisition
+from touchd.outcome import Outcome
+
+
+class Interference:
+    """Takes what is no finger out of the baseline's residual.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    baseline : Baseline
+    gate : Gate
+        Decides again about what is left.
+    dtype : type
+        Of all arrays.
+    """
+
+    def __init__(self, acquisition: Acquisition, baseline: Baseline, gate: Gate, dtype: DTypeLike) -> None:
+        self.tones, self.impulses = Tones(acquisition, dtype), Impulses(acquisition, dtype)
+        self._baseline, self._gate = baseline, gate
+        self._below = Hum(acquisition, dtype, BELOW)
+        self._top = 2 ** (acquisition.bits - 1) - 1
+
+    def clean(self, detection: Detection, *, listens: bool) -> Detection:
+        """Take out of a touched frame's residual what is found in it; return the same detection if nothing is.
+
+        What is left may be an untouched frame, or a plate that sounds by itself. `listens` says whether to look for
+        tones.
+        """
+        baseline, gate, residual = self._baseline, self._gate, detection.residual
+        energy, touched, changed = detection.energy, True, False
+        if found := listens and self.tones.find(residual, gate.noise_energy):
+            energy, touched = self._again()
+            changed = not touched and gate.update(energy)
+        hums = touched and self._hums(detection, energy)
+        hits = self.impulses.blank(residual, energy) if touched and not hums else ()
+        if hits or hums:  # without them the plate may be untouched
+            energy, touched = self._again()
+            changed = hums and not touched and gate.update(energy)  # noise is not learned from a frame with an impulse
+        sounds = touched and not hits and self.impulses.sounds(residual, energy)
+        if rings := sounds:  # of low frequencies in the end
+            self._below.remove(residual)
+            energy, touched = self._again()
+            sounds = touched and (self.impulses.sounds(residual, energy) or baseline.clips(self._top))
+        if not (found or hits or hums or rings):
+            return detection
+        return replace(
+            detection, outcome=Outcome.TOUCHED if touched else Outcome.UNTOUCHED, energy=energy, noise_changed=changed,
+            noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=self.tones.known_hz, hits=hits,
+            sounds=sounds,
+        )  # fmt: skip
+
+    def _again(self) -> tuple[float, bool]:
+        """Return the energy of what is left, and whether the plate is still touched."""
+        energy = self._baseline.residual_energy()
+        return energy, self._gate.decide_again(energy)
+
+    def _hums(self, detection: Detection, energy: float) -> bool:
+        """Look for hum that has begun, and take it out; an impulse and a knock have low frequencies, too."""
+        hum, residual = self._baseline.hum, detection.residual
+        if not hum.find(residual, energy, self._gate.noise_energy):
+            return False
+        if self.impulses.is_loud(residual, self._baseline.residual_energy()):
+            hum.put_back(residual)
+            return False
+        return True
