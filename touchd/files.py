@@ -190,7 +190,7 @@ def socket_file(
     except KeyError:
         raise refused(f"there is no group {group!r}", where, f"correct it, or create it: groupadd {group}") from None
     with _one_at_a_time(path.parent):
-        _clear_socket(path, kind, where, fix, refused)
+        clear_socket(path, kind, where, fix, refused)
         umask = os.umask(0o177)
         try:
             yield
@@ -208,7 +208,11 @@ def socket_file(
         raise refused(what, where, "run touchd as a member of it") from error
 
 
-def _clear_socket(path: Path, kind: socket.SocketKind, where: str, fix: str, refused: type[TouchdError]) -> None:
+def clear_socket(path: Path, kind: socket.SocketKind, where: str, fix: str, refused: type[TouchdError]) -> None:
+    """Remove the socket file of a process that is gone.
+
+    Raises AddressInUse if a process listens there, or the socket is another user's; `refused` of anything else there.
+    """
     try:
         if not stat.S_ISSOCK(path.lstat().st_mode):
             raise refused("there is something else than a socket, and it is not replaced", where, fix)

@@ -95,15 +95,19 @@ class Peers:
         self._arrivals = Arrivals(publisher, self._most)
 
     def guard(self, path: Path) -> None:
-        """Hide a socket file of the publisher from newcomers while there are far too many."""
+        """Hide a socket file of the publisher from newcomers while there are far too many; else keep it there."""
         self._arrivals.guard(path)
 
     def poll(self) -> None:
-        """Take in who came and went, and cut off who stopped reading."""
+        """Take in who came and went, and cut off who stopped reading.
+
+        A socket file that somebody has removed comes back; BusError if it cannot.
+        """
         self._follow_arrivals()
         now_s = self._clock()
         if now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
+            self._arrivals.look()
             for peer in list(self._peers.values()):
                 self._judge_backlog(peer, now_s)
 

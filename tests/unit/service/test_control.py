@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import shutil
 import socket
 import stat
 import threading
@@ -155,6 +156,18 @@ def test_closing_takes_the_file_away_and_may_be_done_twice(path: Path) -> None:
     assert not path.exists()
     with pytest.raises(BusError, match="no daemon takes commands there"):
         send(path, "screen on")
+
+
+def test_a_removed_socket_file(control: Control) -> None:
+    """A script that removes the file cuts nobody off; without its folder the log says that none can command."""
+    control.path.unlink()
+    assert control.poll() == []
+    send(control.path, "screen off")
+    assert control.poll() == ["screen off"]
+    shutil.rmtree(control.path.parent)
+    with capture_logs() as logs:
+        assert control.poll() == control.poll() == []
+    assert [entry["event"] for entry in logs] == ["no command comes any more"]
 
 
 def test_what_a_daemon_left_behind_is_replaced_and_nothing_else(path: Path) -> None:
