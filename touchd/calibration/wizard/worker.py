@@ -252,7 +252,7 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
             while line := await reader.readline():
                 asked = json.loads(line)
                 if asked == {"do": "watch"}:
-                    await _watch(state, writer, ended)
+                    await _watch(state, reader, writer, ended)
                     return
                 answer = await asyncio.to_thread(worker.answer, asked)
                 writer.write(json.dumps(answer).encode() + b"\n")
@@ -276,12 +276,24 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
         path.unlink(missing_ok=True)
 
 
-async def _watch(state: State, writer: asyncio.StreamWriter, ended: asyncio.Event) -> None:
-    """Write the state after each change, the newest only."""
-    seen = -1
-    while not ended.is_set():
-        if state.version != seen:
-            seen = state.version
-            writer.write(json.dumps(state.all()).encode() + b"\n")
-            await writer.drain()
-        await asyncio.sleep(_PERIOD_S)
+async def _watch(
+    state: State, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, ended: asyncio.Event
+) -> None:
+    """Write the state after each change, the newest only, until whoever watches leaves: it may not change for years."""
+    seen, left = -1, asyncio.create_task(_discard(reader))
+    try:
+        while not ended.is_set() and not left.done():
+            if state.version != seen:
+                seen = state.version
+                writer.write(json.dumps(state.all()).encode() + b"\n")
+                await writer.drain()
+            await asyncio.sleep(_PERIOD_S)
+    finally:
+        left.cancel()
+
+
+async def _discard(reader: asyncio.StreamReader) -> None:
+    """Read to the end of a connection."""
+    with contextlib.suppress(OSError):
+        while await reader.read(MOST_BYTES):
+            pass
