@@ -7,6 +7,7 @@ frames, as their numbers tell.
 
 from __future__ import annotations
 
+import select
 import socket
 import struct
 from collections.abc import Callable
@@ -61,6 +62,7 @@ class FrameFeed:
 
     def add(self, listener: socket.socket) -> None:
         """Hand all further frames to a program."""
+        self._drop_gone()
         try:
             if len(self.listeners) >= MOST_LISTENERS:
                 raise OSError(f"{MOST_LISTENERS} programs read already")
@@ -86,9 +88,21 @@ class FrameFeed:
             except BlockingIOError:
                 continue  # too slow: it misses this frame
             except OSError:
-                listener.close()
-                self.listeners.remove(listener)
-                log.info("frames are no longer handed out", readers=len(self.listeners))
+                self._remove(listener)
+
+    def _drop_gone(self) -> None:
+        """Close the ends of programs that have left: while no frame comes, no `send` finds out."""
+        ends = select.poll()
+        for listener in self.listeners:
+            ends.register(listener, 0)  # POLLHUP and POLLERR come unasked
+        gone = {descriptor for descriptor, _ in ends.poll(0)}
+        for listener in [one for one in self.listeners if one.fileno() in gone]:
+            self._remove(listener)
+
+    def _remove(self, listener: socket.socket) -> None:
+        listener.close()
+        self.listeners.remove(listener)
+        log.info("frames are no longer handed out", readers=len(self.listeners))
 
     def configured(self) -> None:
         """End all programs' streams if the plate has become a keypad: they may ask again, and are told so."""

@@ -114,6 +114,15 @@ def test_slow_reader(control: Control, feed: FrameFeed) -> None:
     assert not feed.listeners, "who has left is forgotten"
 
 
+def test_programs_that_gave_up(control: Control, feed: FrameFeed) -> None:
+    """While the device is away for days no frame comes; programs that waited for one and left take nobody's place."""
+    for _ in range(5 * MOST_LISTENERS):
+        mine, _ = ask(control)
+        feed.add(control.listeners.pop())
+        DaemonSource(mine).close()
+    assert len(feed.listeners) == 1
+
+
 def test_few_at_once(control: Control, feed: FrameFeed) -> None:
     """One more than the most gets nothing, and learns so."""
     kept = []
