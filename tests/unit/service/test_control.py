@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import select
 import shutil
 import socket
@@ -22,7 +24,8 @@ from structlog.testing import capture_logs
 
 from touchd.cli.screen import command
 from touchd.config.schema import ControlSettings
-from touchd.errors import AddressInUse, BusError, BusTimeout, ConfigError, ModelError
+from touchd.errors import AddressInUse, BusError, BusTimeout, ConfigError, ModelError, TouchdError
+from touchd.files import socket_file
 from touchd.service import control as control_module
 from touchd.service.control import Control, converse, path_of, send, take_model
 
@@ -198,6 +201,16 @@ def test_a_socket_that_cannot_be_made_is_explained(make: Callable[[Path], Contro
         make(tmp_path)
     assert "control.socket" in failed.value.where
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("number", "restarts"), [(errno.ENOSPC, True), (errno.EMFILE, True), (errno.EACCES, False)])
+def test_what_passes(number: int, restarts: bool, path: Path) -> None:
+    """/run that is full today is no mistake in the configuration, after which systemd would never try again."""
+    with pytest.raises(TouchdError) as refused, socket_file(path, socket.SOCK_DGRAM, "", "here", "", ConfigError):
+        raise OSError(number, os.strerror(number))
+    unit = (Path(__file__).parents[3] / "deploy" / "touchd.service").read_text()
+    (no_restart,) = re.findall("(?m)^RestartPreventExitStatus=(.*)$", unit)
+    assert (str(refused.value.exit_code) not in no_restart.split()) == restarts
 
 
 def test_it_lies_in_the_services_folder_unless_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
