@@ -28,6 +28,7 @@ import zmq
 from touchd.errors import BusError, BusTimeout
 from touchd.event import SILENCE_NS, TOPICS, Event, KeyEvent, TouchEvent
 from touchd.sinks import curve, endpoint
+from touchd.sinks.knock import Knock
 from touchd.sinks.stream import Stream, decode_message
 
 DEFAULT_ADDRESS = endpoint.LOOPBACK
@@ -107,7 +108,7 @@ class Subscriber(Generic[E]):
         max_age_s: float | None = MAX_AGE_S,
         newest_only: bool = False,
     ) -> None:
-        addresses = _default_addresses() if address is None else (address,)
+        addresses = endpoint.defaults(SERVICE_ADDRESS, DEFAULT_ADDRESS) if address is None else (address,)
         self.address = " or ".join(addresses)
         self.topics = tuple(topics)
         self.timeout_s = timeout_s
@@ -136,6 +137,7 @@ class Subscriber(Generic[E]):
         self._keyed = pair is not None
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
+        self._knock: Knock | None = None
         self._waits_s = math.inf  # in a call that receives
         self._process = os.getpid()
         self._lock = threading.RLock()  # a signal's handler may close while its thread receives
@@ -151,6 +153,7 @@ class Subscriber(Generic[E]):
                 self._socket.setsockopt(zmq.CURVE_SERVERKEY, server)
                 self._socket.setsockopt(zmq.CURVE_PUBLICKEY, pair.public)
                 self._socket.setsockopt(zmq.CURVE_SECRETKEY, pair.secret)
+                self._knock = Knock(self._socket, addresses)
             # Touches are repeated while a key is pressed: who asks for keys alone needs their silence, too.
             lifts = "key" in self.topics and self._max_age_s < math.inf
             self._unasked = "touch" if lifts and not {"touch", ""} & set(self.topics) else None
@@ -211,6 +214,8 @@ class Subscriber(Generic[E]):
                     self._end()
 
     def _end(self) -> None:
+        if self._knock is not None:
+            self._knock.close()
         self._socket.close()
         self._context.term()
 
@@ -286,14 +291,9 @@ class Subscriber(Generic[E]):
         try:
             parts = [self._socket.recv()]
         except zmq.Again:
+            if self._knock is not None:
+                self._knock.look()
             return None
         while self._socket.get(_RCVMORE):
             parts.append(self._socket.recv())
         return parts
-
-
-def _default_addresses() -> tuple[str, ...]:
-    """Return the service's address if the service runs; else both defaults, whichever comes up."""
-    if os.path.exists(SERVICE_ADDRESS.removeprefix("ipc://")):
-        return (SERVICE_ADDRESS,)
-    return SERVICE_ADDRESS, DEFAULT_ADDRESS

@@ -17,8 +17,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from touchd.errors import AddressInUse, ConfigError, OutputError, TouchdError
+from touchd.errors import AddressInUse, BusError, ConfigError, OutputError, TouchdError
 
+_PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOMEM}
+"""What no setting mends, and another try may find gone."""
 CHECK = "check folder, space and permissions"
 _PREFIX_BYTES = 100
 _LOCK_TRIES, _LOCK_PAUSE_S = 200, 0.01
@@ -183,19 +185,20 @@ def socket_file(
     of the whole process: bind before other threads make files.
 
     Raises AddressInUse if a process listens there, or the socket is another user's; `refused` if path or group cannot
-    be used. The messages have `where` and `fix`.
+    be used; BusError if the file system is full, for example, which may pass. The messages have `where` and `fix`.
     """
     try:
         gid = grp.getgrnam(group).gr_gid if group else None
     except KeyError:
         raise refused(f"there is no group {group!r}", where, f"correct it, or create it: groupadd {group}") from None
     with _one_at_a_time(path.parent):
-        _clear_socket(path, kind, where, fix, refused)
+        clear_socket(path, kind, where, fix, refused)
         umask = os.umask(0o177)
         try:
             yield
         except OSError as error:
-            raise refused(f"no socket can be made there ({error.strerror or error})", where, fix) from error
+            kind_of = BusError if error.errno in _PASSING else refused
+            raise kind_of(f"no socket can be made there ({error.strerror or error})", where, fix) from error
         finally:
             os.umask(umask)
     try:
@@ -208,7 +211,11 @@ def socket_file(
         raise refused(what, where, "run touchd as a member of it") from error
 
 
-def _clear_socket(path: Path, kind: socket.SocketKind, where: str, fix: str, refused: type[TouchdError]) -> None:
+def clear_socket(path: Path, kind: socket.SocketKind, where: str, fix: str, refused: type[TouchdError]) -> None:
+    """Remove the socket file of a process that is gone.
+
+    Raises AddressInUse if a process listens there, or the socket is another user's; `refused` of anything else there.
+    """
     try:
         if not stat.S_ISSOCK(path.lstat().st_mode):
             raise refused("there is something else than a socket, and it is not replaced", where, fix)

@@ -16,6 +16,8 @@ from touchd.bridges.bridge import Down, Output
 CURSOR, BLOB = "/tuio/2Dcur", "/tuio/2Dblb"
 _FSEQ_MAX = 0x7FFFFFFF
 _START_OR_END = -1
+_FORGOTTEN_NS = 60_000_000_000
+"""A failure that comes again this long after the last one is said again."""
 _REPEAT_NS = 250_000_000
 """A client that lost a frame has the next one, or this repeat of the last."""
 
@@ -103,7 +105,7 @@ class Frames:
 class Tuio(Output):
     """Sends the fingers on the screen to a numeric host and a port, which need not listen; TUIO has no keys.
 
-    `say` is called with each kind of failure, once.
+    `say` is called with each kind of failure, once, and again after a minute without any.
     """
 
     topics = ("touch", "health")
@@ -111,6 +113,7 @@ class Tuio(Output):
     def __init__(self, area: Area, to: tuple[str, int], name: str, now_ns: int, say: Callable[[str], object]) -> None:
         self._to, self._say = to, say
         self._failures: set[str] = set()
+        self._failed, self._failed_ns = False, now_ns
         self._socket = socket.socket(socket.AF_INET6 if ":" in to[0] else socket.AF_INET, socket.SOCK_DGRAM)
         self._area = area
         self._frames = Frames(f"touchd:{name}@{to[0]}", area.size_mm, now_ns)
@@ -126,6 +129,10 @@ class Tuio(Output):
 
     def idle(self, now_ns: int) -> None:
         """Repeat the last frame, for a client that lost it or came later."""
+        if self._failed:
+            self._failed, self._failed_ns = False, now_ns
+        elif self._failures and now_ns - self._failed_ns >= _FORGOTTEN_NS:
+            self._failures.clear()
         if self._shown:
             self._shown, self._sent_ns = False, now_ns
         elif now_ns - self._sent_ns >= _REPEAT_NS:
@@ -145,6 +152,7 @@ class Tuio(Output):
             try:
                 self._socket.sendto(each, self._to)
             except OSError as error:  # the network is down, for example: the next frame says all again
+                self._failed = True
                 if (failure := error.strerror or str(error)) not in self._failures:
                     self._failures.add(failure)
                     self._say(

@@ -15,7 +15,7 @@ from touchd.bridges.tuio import Tuio
 from touchd.cli.bridge import serve
 from touchd.cli.options import bus_option, config_option
 from touchd.config.apart import load_apart
-from touchd.errors import ConfigError, InsecureBind
+from touchd.errors import BridgeError, ConfigError, InsecureBind
 
 
 @click.command()
@@ -38,12 +38,21 @@ def command(to: str | None, address: str | None, config: Path | None) -> None:
 
 
 def destination(to: str, *, insecure: bool) -> tuple[str, int]:
-    """Return host and port; raise ConfigError for other texts, InsecureBind beyond loopback, unless that is allowed."""
+    """Return host and port.
+
+    Raises ConfigError for other texts, InsecureBind beyond loopback, unless that is allowed; BridgeError if nobody can
+    be asked for a name's address now: at boot the network may come later than this.
+    """
     host, _, port = to.rpartition(":")
     host = host.strip("[]")
     try:
         found = socket.getaddrinfo(host, int(port), type=socket.SOCK_DGRAM) if host else []
-    except (OSError, ValueError, OverflowError):
+    except (OSError, ValueError, OverflowError) as error:
+        if isinstance(error, socket.gaierror) and error.errno == socket.EAI_AGAIN:
+            fix = "start it again, as systemd does, once the network is there, or write the address in numbers"
+            raise BridgeError(
+                f"nobody knows the address at present ({error.strerror})", f"tuio.to {to}", fix
+            ) from error
         found = []
     if not found or not 0 < int(port) < 65536:
         raise ConfigError("is no HOST:PORT of UDP", f"tuio.to {to}", "write for example 127.0.0.1:3333")

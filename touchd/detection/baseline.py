@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
@@ -16,6 +18,9 @@ Signal = NDArray[np.floating]
 _subtract, _multiply, _add = np.subtract, np.multiply, np.add
 _LONGEST_STEP_S = 0.1
 """The baseline moves by at most this much time at once: after a gap it must not swallow a single frame whole."""
+_LEAST_SHARE = 1 / 512
+"""The mean moves by at least this share of the residual, in every n-th frame where its time constant is long. Of a
+count float32 holds no smaller part at full scale: a mean that is moved by less stands still."""
 _QUICKLY = 8
 """Movement that is known to be the plate's own is followed this many times as fast: the next touch may come soon."""
 _STEADY_RATIO = 0.7
@@ -77,7 +82,8 @@ class Baseline:
     def configure(self, settings: BaselineSettings) -> None:
         """Follow the plate with another time constant."""
         self._time_constant_s = settings.time_constant_s
-        self._weighed_ns = -1  # the step for which `_weight` holds
+        self._weighed_ns = -1  # the step for which `_weight` and `_every` hold
+        self._every, self._waited = 1, 0
 
     def reset(self) -> None:
         """Begin to learn with the next frame; until the end of learning `mean` stays as it is."""
@@ -185,7 +191,14 @@ class Baseline:
             elapsed_ns = self._elapsed_ns * (_QUICKLY if quickly else 1)
             self._weighed_ns = elapsed_ns
             elapsed_s = min(max(elapsed_ns * 1e-9, 0.0), _LONGEST_STEP_S)
+            share = elapsed_s / (self._time_constant_s + elapsed_s)
+            self._every = math.ceil(_LEAST_SHARE / share) if 0 < share < _LEAST_SHARE else 1
+            elapsed_s *= self._every
             self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
+        self._waited += 1
+        if self._waited < self._every:
+            return
+        self._waited = 0
         _multiply(self._whole, self._weight, self._step)
         _add(self.mean, self._step, self.mean)
 

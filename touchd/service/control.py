@@ -14,9 +14,12 @@ import socket
 import struct
 from pathlib import Path
 
+import structlog
+
 from touchd.config.schema import ControlSettings
 from touchd.errors import BusError, BusTimeout, ConfigError, ModelError, TouchdError
 from touchd.files import runtime_folder, socket_file
+from touchd.sinks.kept_file import KeptSocketFile
 from touchd.sinks.throttle import Throttle
 
 COMMANDS = ("screen off", "screen on", "reload", "frames")
@@ -30,6 +33,8 @@ _MOST_PER_POLL = 16  # a flood of commands must not hold up a frame
 _MOST_FDS = 4
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_CREDENTIALS.size) + socket.CMSG_SPACE(_MOST_FDS * 4)
+
+log = structlog.get_logger()
 
 
 def path_of(settings: ControlSettings) -> Path | None:
@@ -118,18 +123,28 @@ class Control:
         """Sockets that came with the commands `frames`, in order: take them from here."""
         self._asking: list[socket.socket] = []
         self._refused = Throttle("no such command, or not for this user")
+        self._file: KeptSocketFile | None = None
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
         where, fix = f"control.socket {path}", "set another control.socket"
         try:
             with socket_file(path, socket.SOCK_DGRAM, group, where, fix, ConfigError):
                 self._socket.bind(str(path))
+            self._file = KeptSocketFile(path, socket.SOCK_DGRAM)
         except TouchdError:
             self.close()
             raise
 
     def poll(self) -> list[str]:
-        """Return the commands that have come, in order, without waiting; log and drop what is no command."""
+        """Return the commands that have come, in order, without waiting; log and drop what is no command.
+
+        A socket file that somebody has removed comes back.
+        """
+        try:
+            if self._file is not None:
+                self._file.look()
+        except BusError as error:  # touches go on
+            log.error("no command comes any more", error=str(error))
         found: list[str] = []
         for _ in range(_MOST_PER_POLL):
             try:
@@ -165,6 +180,8 @@ class Control:
             return
         for handed in (*self.listeners, *self._asking):
             handed.close()
+        if self._file is not None:
+            self._file.close()
         # Only this daemon's own file: another one may have taken the path meanwhile.
         with contextlib.suppress(OSError):
             if self._socket.getsockname() == str(self.path):

@@ -2,11 +2,12 @@
 
 The program sends the command `frames` to the control socket, with one end of a pair of sockets. The daemon answers
 there with a description, then with each frame, one message each. It never waits: a program that is too slow loses
-frames, as their numbers tell.
+frames, as their numbers tell, and one that reads nothing for a minute loses its place.
 """
 
 from __future__ import annotations
 
+import select
 import socket
 import struct
 from collections.abc import Callable
@@ -28,6 +29,8 @@ COMMAND = b"frames"
 MOST_LISTENERS = 4
 _BUFFER_BYTES = 4_000_000
 _ANSWER_S = 3.0
+STUCK_NS = 60_000_000_000
+"""A program that takes no frame for this time has stopped, and would hold its place for ever."""
 _HEAD = struct.Struct("<qqq")
 """Of a message: sequence, t_ns and received_ns; the counts follow, int16."""
 
@@ -58,9 +61,11 @@ class FrameFeed:
         self._keypad = False
         self.listeners: list[socket.socket] = []
         """Programs that get each frame."""
+        self._behind_ns: dict[socket.socket, int] = {}  # since when each takes none
 
     def add(self, listener: socket.socket) -> None:
         """Hand all further frames to a program."""
+        self._drop_gone()
         try:
             if len(self.listeners) >= MOST_LISTENERS:
                 raise OSError(f"{MOST_LISTENERS} programs read already")
@@ -83,12 +88,29 @@ class FrameFeed:
         for listener in self.listeners[:]:
             try:
                 listener.sendmsg([head, counts])
-            except BlockingIOError:
-                continue  # too slow: it misses this frame
+            except BlockingIOError:  # too slow: it misses this frame
+                if frame.received_ns - self._behind_ns.setdefault(listener, frame.received_ns) >= STUCK_NS:
+                    self._remove(listener)
             except OSError:
-                listener.close()
-                self.listeners.remove(listener)
-                log.info("frames are no longer handed out", readers=len(self.listeners))
+                self._remove(listener)
+            else:
+                if self._behind_ns:
+                    self._behind_ns.pop(listener, None)
+
+    def _drop_gone(self) -> None:
+        """Close the ends of programs that have left: while no frame comes, no `send` finds out."""
+        ends = select.poll()
+        for listener in self.listeners:
+            ends.register(listener, 0)  # POLLHUP and POLLERR come unasked
+        gone = {descriptor for descriptor, _ in ends.poll(0)}
+        for listener in [one for one in self.listeners if one.fileno() in gone]:
+            self._remove(listener)
+
+    def _remove(self, listener: socket.socket) -> None:
+        self._behind_ns.pop(listener, None)
+        self.listeners.remove(listener)
+        listener.close()
+        log.info("frames are no longer handed out", readers=len(self.listeners))
 
     def configured(self) -> None:
         """End all programs' streams if the plate has become a keypad: they may ask again, and are told so."""
@@ -100,6 +122,7 @@ class FrameFeed:
         for listener in self.listeners:
             listener.close()
         self.listeners = []
+        self._behind_ns.clear()
 
 
 class DaemonSource(Source):
@@ -134,7 +157,7 @@ class DaemonSource(Source):
             message = b""
         if len(message) != self._bytes:
             raise SourceError(
-                "the daemon has ended, or its plate is a keypad now: no more frames come", "",
+                "the daemon has ended, its plate is a keypad now, or this program stood still: no more frames come", "",
                 "see the daemon's log, start it, and repeat the command",
             )  # fmt: skip
         counts = np.frombuffer(message, np.int16, offset=_HEAD.size).reshape(self.acquisition.shape)

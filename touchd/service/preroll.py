@@ -146,6 +146,7 @@ class PreRoll:
         ours.sort(key=lambda path: (self._written.get(path, -1), path.name))
         for path in ours[: -self._settings.keep]:
             path.unlink(missing_ok=True)
-            self._written.pop(path, None)
+        kept = ours[-self._settings.keep :]  # others have gone: somebody collects them, or they were old
+        self._written = {path: number for path, number in self._written.items() if path in kept}
         for path in self._folder.glob(".preroll-*.tmp"):
             path.unlink(missing_ok=True)  # half a file of a daemon that was killed

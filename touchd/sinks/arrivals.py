@@ -11,6 +11,7 @@ import os
 import resource
 import select
 import signal
+import socket
 import struct
 import threading
 from collections import deque
@@ -18,6 +19,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import zmq
+
+from touchd.sinks.kept_file import KeptSocketFile
 
 BACKLOG = 32
 """Connections that the kernel holds for libzmq to accept: they come even when the door is shut."""
@@ -49,6 +52,7 @@ class Arrivals:
         self._crowd = max(most + 1, min(_CROWD * most, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4))
         self._connected = self._accepted = 0
         self._doors: list[tuple[Path, Path]] = []
+        self._files: list[KeptSocketFile] = []
         self._shut = self._stopped = False
         publisher.setsockopt(zmq.BACKLOG, BACKLOG)
         endpoint = f"inproc://monitor-{id(publisher)}"
@@ -62,8 +66,10 @@ class Arrivals:
         self._thread.start()
 
     def guard(self, path: Path) -> None:
-        """Shut this socket file's door too when too many come."""
+        """Shut this socket file's door too when too many come, and keep the file there while it is open."""
+        kept = KeptSocketFile(path, socket.SOCK_STREAM)
         with self._lock:
+            self._files.append(kept)
             self._doors.append((path, path.with_name(f".{path.name}.shut")))
 
     def take_in(self) -> None:
@@ -71,12 +77,21 @@ class Arrivals:
         with self._lock:
             self._read()
 
+    def look(self) -> None:
+        """Bring socket files back that somebody has removed; BusError if one cannot."""
+        with self._lock:
+            if not self._shut:
+                for file in self._files:
+                    file.look()
+
     def close(self) -> None:
         """Stop listening. The door is open afterwards: libzmq removes the files by their names."""
         with suppress(zmq.ZMQError):
             self._publisher.disable_monitor()
         self._thread.join()
         self._set_shut(False)
+        for file in self._files:
+            file.close()
         self._monitor.close()
 
     def _listen(self) -> None:

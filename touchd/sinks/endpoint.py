@@ -36,6 +36,11 @@ def effective(settings: BusSettings) -> BusSettings:
     return settings.model_copy(update={"bind": (f"ipc://{folder}/bus",), "ipc_group": group})
 
 
+def defaults(service: str = SERVICE, loopback: str = LOOPBACK) -> tuple[str, ...]:
+    """Return the service's address if the service runs; else both, whichever comes up."""
+    return (service,) if os.path.exists(service.removeprefix("ipc://")) else (service, loopback)
+
+
 def is_file(address: str) -> bool:
     """Return whether the address is a socket file, `ipc://`."""
     return address.startswith("ipc://")

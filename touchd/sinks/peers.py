@@ -21,6 +21,7 @@ from pathlib import Path
 import zmq
 
 from touchd.sinks.arrivals import ACCEPTED, DISCONNECTED, Arrivals
+from touchd.sinks.authenticator import KEY
 from touchd.sinks.throttle import Throttle
 
 MOST_SUBSCRIPTIONS = 64
@@ -32,6 +33,8 @@ MOST_MESSAGES = 256
 MESSAGES_HZ = 16.0
 STALLED_S = 10.0
 """A connection whose peer has read nothing for this time is cut off: what waits for it is stale, and takes memory."""
+WITHDRAWN_S = 10.0
+"""A connection whose client's key is gone for this time is cut off: a folder may be written anew."""
 _LOOK_S = 1.0
 _SHARE = 0.25  # of the time since the last poll: a flood of connections must not delay a frame
 _MOST_EVENTS = 64  # read at once, after a pause
@@ -63,6 +66,10 @@ class _Peer:
     """How much waits to be sent, as the kernel says it."""
     unsent_s: float = 0.0
     """Since when it has been so much."""
+    key: str = ""
+    """Its key, if it had to have one."""
+    known_s: float = 0.0
+    """When that was last known."""
 
 
 class Peers:
@@ -82,6 +89,8 @@ class Peers:
     ) -> None:
         self.wanted: frozenset[str] = frozenset()
         """The topics that somebody has subscribed to."""
+        self.admits: Callable[[str], bool] = lambda _key: True
+        """Whether a key is known, by which a client was admitted."""
         self._topics = {topic: topic.encode() for topic in topics}
         self._most = min(most, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2)
         self._clock = clock
@@ -95,17 +104,25 @@ class Peers:
         self._arrivals = Arrivals(publisher, self._most)
 
     def guard(self, path: Path) -> None:
-        """Hide a socket file of the publisher from newcomers while there are far too many."""
+        """Hide a socket file of the publisher from newcomers while there are far too many; else keep it there."""
         self._arrivals.guard(path)
 
     def poll(self) -> None:
-        """Take in who came and went, and cut off who stopped reading."""
+        """Take in who came and went, and cut off who stopped reading.
+
+        A socket file that somebody has removed comes back; BusError if it cannot.
+        """
         self._follow_arrivals()
         now_s = self._clock()
         if now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
+            self._arrivals.look()
             for peer in list(self._peers.values()):
                 self._judge_backlog(peer, now_s)
+                if not peer.key or self.admits(peer.key):
+                    peer.known_s = now_s
+                elif now_s - peer.known_s >= WITHDRAWN_S:
+                    self._cut(peer, "its key is known no longer")
 
     def take(self, message: zmq.Frame) -> frozenset[str]:
         """Account for a message from a peer. Return the topics that it subscribes to."""
@@ -121,6 +138,9 @@ class Peers:
         peer = self._peers.get(descriptor)
         if peer is None or peer.number != number:
             return frozenset()
+        if not peer.key:
+            with suppress(zmq.ZMQError):  # of a file, or a bus without a folder of keys
+                peer.key = str(message.get(KEY))
         now_s = self._clock()
         peer.credit = min(MOST_MESSAGES, peer.credit + (now_s - peer.credit_s) * MESSAGES_HZ) - 1
         peer.credit_s = now_s
@@ -180,7 +200,7 @@ class Peers:
             name, origin = _names(connection)
             stream = connection.family != socket.AF_UNIX
         now_s = self._clock()
-        newcomer = _Peer(descriptor, number, name, origin, now_s, stream, credit_s=now_s)
+        newcomer = _Peer(descriptor, number, name, origin, now_s, stream, credit_s=now_s, known_s=now_s)
         if len(self._peers) >= self._most:
             self._cut(self._choose(newcomer), f"there are more than {self._most}")
             if len(self._peers) >= self._most:

@@ -194,4 +194,5 @@ class ZeromqSink:
         if clients is None:
             return
         self._authenticator = Authenticator(self._context, curve.ClientKeys(clients))
+        self._peers.admits = self._authenticator.admits
         self._socket.setsockopt_string(zmq.ZAP_DOMAIN, DOMAIN)

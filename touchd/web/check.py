@@ -12,6 +12,7 @@ import platform
 import re
 import sys
 import tempfile
+import time
 import zipfile
 from functools import partial
 from pathlib import Path
@@ -34,6 +35,7 @@ _LOG_LINES = 500
 _TOKEN = re.compile(r"#token=\S+")  # of an address that this server has printed
 _BUNDLE_S = 30.0
 MOST_RECORDING_BYTES = 64_000_000
+_ZIP_FROM, _ZIP_TO = (1980, 1, 1, 0, 0, 0), (2107, 12, 31, 23, 59, 59)
 
 
 def routes(site: Site) -> list[BaseRoute]:
@@ -155,7 +157,9 @@ async def record(site: Site) -> tuple[str, bytes]:
 
 def _zip(parts: dict[str, str | bytes]) -> bytes:
     file = io.BytesIO()
+    # A clock without a battery says 1970 after a power cut, which a ZIP archive cannot.
+    now = min(max(time.localtime()[:6], _ZIP_FROM), _ZIP_TO)
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in parts.items():
-            archive.writestr(f"touchd-support/{name}", content)
+            archive.writestr(zipfile.ZipInfo(f"touchd-support/{name}", now), content, zipfile.ZIP_DEFLATED)
     return file.getvalue()

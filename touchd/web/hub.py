@@ -31,6 +31,8 @@ MOST_CLIENTS = 32
 HISTORY = 300
 """Health messages kept: five minutes."""
 _WAIT_S = 0.25
+_AGAIN_S = 1.0
+"""Between two tries to subscribe."""
 _NEVER_OLD_S = 1e9
 _PACE_S, _SPECTRUM_PACE_S = 0.026, 0.1
 """Between two looks at the bus: what comes meanwhile and no screen would show is not handed over."""
@@ -160,10 +162,8 @@ class Hub:
         assert self._loop is not None
         hand: Callable[..., object] = self._loop.call_soon_threadsafe
         pace_s = _SPECTRUM_PACE_S if topics == ASKED else _PACE_S
-        try:
-            events: Subscriber[Event] = Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True)
-        except BusError as error:  # it could be used at the start: another daemon has come
-            log.warning("not listened to", topics=topics, error=str(error))
+        events = self._subscribed(topics, stopped)
+        if events is None:
             return
         with events:
             while not stopped.is_set():
@@ -177,12 +177,29 @@ class Hub:
                     pass
                 except BusError as error:
                     log.warning("not understood", error=str(error))
-                    stopped.wait(1.0)
+                    stopped.wait(_AGAIN_S)
                 try:
                     hand(self._take, newest)
                 except RuntimeError:  # the loop has ended
                     return
                 stopped.wait(pace_s)
+
+    def _subscribed(self, topics: tuple[str, ...], stopped: threading.Event) -> Subscriber[Event] | None:
+        """Return a subscription; None if `stopped` was set before there was one.
+
+        Another daemon may have come, whose socket this user may not use: the one after it may be usable again. A socket
+        that is being made is its owner's alone for a moment.
+        """
+        told = False
+        while not stopped.is_set() or not told:
+            try:
+                return Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True)
+            except BusError as error:
+                if not told:
+                    log.warning("not listened to, and tried again", topics=topics, error=str(error))
+                told = True
+            stopped.wait(_AGAIN_S)
+        return None
 
     def _take(self, events: list[Event]) -> None:
         """Take events into the slots of all browsers; runs in the server's loop."""

@@ -15,7 +15,7 @@ from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Event, KeyEvent
-from touchd.sinks import curve, zeromq
+from touchd.sinks import curve, knock, peers, zeromq
 from touchd.sinks.zeromq import ZeromqSink
 
 Bus = Callable[..., ZeromqSink]
@@ -104,6 +104,44 @@ def test_a_client_whose_key_was_taken_away_cannot_come_back(bus: Bus, keys: Path
     with subscriber(sink, keys, "friend") as former, subscriber(sink, keys, "stranger") as newcomer:
         assert is_served(sink, newcomer)
         assert gets_nothing(former)
+
+
+def test_a_key_that_is_taken_away(bus: Bus, keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever holds it listens no longer, though the connection was there before; the others go on."""
+    monkeypatch.setattr(peers, "WITHDRAWN_S", 0.5)
+    monkeypatch.setattr(peers, "_LOOK_S", 0.1)
+    (keys.parent / "clients/stranger.key").write_bytes((keys / "stranger.key").read_bytes())
+    sink = bus(curve_clients=keys.parent / "clients")
+    with (
+        capture_logs() as logs,
+        subscriber(sink, keys, "stranger") as former,
+        subscriber(sink, keys, "friend") as friend,
+    ):
+        assert is_served(sink, former)
+        assert is_served(sink, friend)
+        (keys.parent / "clients/stranger.key").unlink()
+        give_up_s = time.monotonic() + 60
+        while not any(line.get("reason") == "its key is known no longer" for line in logs):
+            assert time.monotonic() < give_up_s
+            assert is_served(sink, friend)
+        while any(not gets_nothing(former) for _ in range(3)):  # what was under way
+            assert time.monotonic() < give_up_s
+        assert is_served(sink, friend)
+        assert gets_nothing(former)
+
+
+def test_a_key_that_comes_late(bus: Bus, keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A client that was refused, since its key was not copied yet, is served by the same subscription once it is."""
+    monkeypatch.setattr(knock, "AGAIN_S", 0.1)
+    sink = bus(curve_clients=keys.parent / "clients")
+    with capture_logs() as logs, subscriber(sink, keys, "stranger") as early:
+        give_up_s = time.monotonic() + 60
+        while not any(line["event"] == "subscriber refused" for line in logs):
+            assert time.monotonic() < give_up_s
+            sink.poll()
+            gets_nothing(early)
+        (keys.parent / "clients/stranger.key").write_bytes((keys / "stranger.key").read_bytes())
+        assert is_served(sink, early)
 
 
 def test_a_damaged_key_is_skipped(bus: Bus, keys: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import grp
 import os
+import shutil
 import signal
 import socket
 import stat
@@ -206,6 +207,30 @@ def test_a_group_gets_in_and_at_no_moment_anybody_else(tmp_path: Path, monkeypat
         sink.close()
 
 
+@pytest.mark.parametrize("other", ["ipc://{}/bus"], indirect=True)
+def test_a_removed_socket_file(other: Other) -> None:
+    """A script that removes the bus's file cuts nobody off: it comes back, for who comes later, too."""
+    path = Path(other.address.removeprefix("ipc://"))
+    with Subscriber(other.address, topics=("key",), timeout_s=60) as before:
+        assert next(before).device == "other"
+        path.unlink()
+        with Subscriber(other.address, topics=("key",), timeout_s=60) as later:
+            assert next(later).device == "other"
+    assert path.is_socket()
+
+
+def test_without_its_folder(tmp_path: Path) -> None:
+    """A bus that nobody can find any more ends the daemon: systemd starts it again, with a new folder."""
+    (tmp_path / "run").mkdir()
+    sink = ZeromqSink(BusSettings(bind=(f"ipc://{tmp_path}/run/bus",)))
+    try:
+        shutil.rmtree(tmp_path / "run")
+        with pytest.raises(BusError, match="start touchd again"):
+            sink.wait_for_subscriber(60)
+    finally:
+        sink.close()
+
+
 def test_an_unknown_group_is_named(tmp_path: Path) -> None:
     with pytest.raises(BusError, match=r"no group 'no-such-group'.*groupadd"):
         bind(f"ipc://{tmp_path}/bus", ipc_group="no-such-group")
@@ -215,7 +240,7 @@ def test_an_unknown_group_is_named(tmp_path: Path) -> None:
 def test_two_that_start_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second looks once the first listens, and is refused: it would take the file from it."""
     address, looked, refused = f"ipc://{tmp_path}/bus", threading.Event(), threading.Event()
-    really = files._clear_socket
+    really = files.clear_socket
 
     def second() -> None:
         with contextlib.suppress(AddressInUse), endpoint.private_file(address, ""):
@@ -228,7 +253,7 @@ def test_two_that_start_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
     with socket.socket(socket.AF_UNIX) as first:
         with endpoint.private_file(address, ""):
-            monkeypatch.setattr(files, "_clear_socket", look)
+            monkeypatch.setattr(files, "clear_socket", look)
             thread = threading.Thread(target=second)
             thread.start()
             assert not looked.wait(0.1)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+import re
+import socket
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NoReturn
 
 import pytest
 from hypothesis import given
@@ -17,7 +21,7 @@ from touchd.bridges.area import Area, Place
 from touchd.bridges.tuio import BLOB, CURSOR, Frames, Tuio
 from touchd.cli.tuio import destination
 from touchd.config.schema import InputSettings
-from touchd.errors import ConfigError, InsecureBind
+from touchd.errors import BridgeError, ConfigError, InsecureBind
 
 SIZE_MM = (200.0, 100.0)
 
@@ -92,6 +96,27 @@ def test_unreachable() -> None:
     assert "255.255.255.255:3333 (Permission denied)" in line
 
 
+def test_unreachable_again() -> None:
+    """A failure is said again when it comes back after years; one that goes on is not."""
+    area, said = Area(InputSettings(screen_mm=(0, 0, *SIZE_MM))), list[str]()
+    source, now_ns = Tuio(area, ("255.255.255.255", 3333), "plate", 0, said.append), 0
+    with closing(source):
+
+        def pass_by(minutes: int) -> None:
+            nonlocal now_ns
+            for _ in range(minutes * 600):
+                now_ns += 100 * MS
+                source.idle(now_ns)
+
+        pass_by(3)
+        assert len(said) == 1
+        vars(source)["_to"] = ("127.0.0.1", 3333)  # as if the network came
+        pass_by(3)
+        vars(source)["_to"] = ("255.255.255.255", 3333)
+        pass_by(3)
+        assert len(said) == 2
+
+
 def test_size_of_a_frame() -> None:
     """The most contacts that a daemon tells apart fit into one datagram of any network."""
     most = {n: Place(1, 1, 1, 1, 1, SIZED) for n in range(10)}
@@ -158,3 +183,17 @@ def test_destination() -> None:
     for bad in ("", "3333", ":3333", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:99999", "127.0.0.1:x"):
         with pytest.raises(ConfigError, match="HOST:PORT"):
             destination(bad, insecure=False)
+
+
+def test_network_that_comes_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a power cut the bridge may be quicker than the network: systemd starts it again until names are known."""
+
+    def nobody_answers(*_arguments: object, **_options: object) -> NoReturn:
+        raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
+
+    monkeypatch.setattr(socket, "getaddrinfo", nobody_answers)
+    with pytest.raises(BridgeError, match="once the network is there") as refused:
+        destination("player.example:3333", insecure=True)
+    unit = (Path(__file__).parents[3] / "deploy" / "touchd-tuio.service").read_text()
+    (no_restart,) = re.findall("(?m)^RestartPreventExitStatus=(.*)$", unit)
+    assert str(refused.value.exit_code) not in no_restart.split()

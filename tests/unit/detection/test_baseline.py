@@ -94,6 +94,24 @@ def test_gap(gap_ns: int, share: float) -> None:
     np.testing.assert_allclose(plate.baseline.mean - np.rint(MEAN), 100 * share, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("time_constant_s", "period_ns"), [(60.0, 1_000_000), (600.0, PERIOD_NS), (3600.0, 20_000_000)]
+)
+def test_long_time_constant(time_constant_s: float, period_ns: int) -> None:
+    """A plate that drifts over hours is followed as it is over seconds, though a frame's part is next to nothing."""
+    plate = Plate(8, noise=1.0)
+    plate.learn([MEAN] * 32)
+    before = plate.baseline.mean.copy()
+    plate.baseline.configure(SETTINGS.model_copy(update={"time_constant_s": time_constant_s}))
+    drifted = [plate.frame(MEAN + 3) for _ in range(8)]
+    frames = round(0.25e9 * time_constant_s / period_ns)
+    for number in range(frames):
+        plate.t_ns += period_ns
+        plate.baseline.subtract(drifted[number % 8], plate.t_ns)
+        plate.baseline.follow()
+    assert (plate.baseline.mean - before).mean() == pytest.approx(3 * (1 - np.exp(-0.25)), rel=0.1)
+
+
 def test_full_scale() -> None:
     """The residual of full-scale frames does not wrap."""
     plate = Plate(7, noise=0.0)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import select
+import shutil
 import socket
 import stat
 import threading
@@ -21,7 +24,8 @@ from structlog.testing import capture_logs
 
 from touchd.cli.screen import command
 from touchd.config.schema import ControlSettings
-from touchd.errors import AddressInUse, BusError, BusTimeout, ConfigError, ModelError
+from touchd.errors import AddressInUse, BusError, BusTimeout, ConfigError, ModelError, TouchdError
+from touchd.files import socket_file
 from touchd.service import control as control_module
 from touchd.service.control import Control, converse, path_of, send, take_model
 
@@ -157,6 +161,18 @@ def test_closing_takes_the_file_away_and_may_be_done_twice(path: Path) -> None:
         send(path, "screen on")
 
 
+def test_a_removed_socket_file(control: Control) -> None:
+    """A script that removes the file cuts nobody off; without its folder the log says that none can command."""
+    control.path.unlink()
+    assert control.poll() == []
+    send(control.path, "screen off")
+    assert control.poll() == ["screen off"]
+    shutil.rmtree(control.path.parent)
+    with capture_logs() as logs:
+        assert control.poll() == control.poll() == []
+    assert [entry["event"] for entry in logs] == ["no command comes any more"]
+
+
 def test_what_a_daemon_left_behind_is_replaced_and_nothing_else(path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as gone:
         gone.bind(str(path))
@@ -185,6 +201,16 @@ def test_a_socket_that_cannot_be_made_is_explained(make: Callable[[Path], Contro
         make(tmp_path)
     assert "control.socket" in failed.value.where
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("number", "restarts"), [(errno.ENOSPC, True), (errno.EMFILE, True), (errno.EACCES, False)])
+def test_what_passes(number: int, restarts: bool, path: Path) -> None:
+    """/run that is full today is no mistake in the configuration, after which systemd would never try again."""
+    with pytest.raises(TouchdError) as refused, socket_file(path, socket.SOCK_DGRAM, "", "here", "", ConfigError):
+        raise OSError(number, os.strerror(number))
+    unit = (Path(__file__).parents[3] / "deploy" / "touchd.service").read_text()
+    (no_restart,) = re.findall("(?m)^RestartPreventExitStatus=(.*)$", unit)
+    assert (str(refused.value.exit_code) not in no_restart.split()) == restarts
 
 
 def test_it_lies_in_the_services_folder_unless_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,12 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from touchd.errors import BusError, SourceError
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.service import control as module
 from touchd.service.control import Control, converse, send
-from touchd.service.frame_feed import COMMAND, MOST_LISTENERS, DaemonSource, FeedDescription, FrameFeed, open_daemon
+from touchd.service.frame_feed import (
+    COMMAND,
+    MOST_LISTENERS,
+    STUCK_NS,
+    DaemonSource,
+    FeedDescription,
+    FrameFeed,
+    open_daemon,
+)
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=300, height_mm=200)
@@ -112,6 +121,35 @@ def test_slow_reader(control: Control, feed: FrameFeed) -> None:
     source.close()
     feed.send(frame(5001))
     assert not feed.listeners, "who has left is forgotten"
+
+
+def test_stopped_program(control: Control, feed: FrameFeed) -> None:
+    """A program that was stopped and forgotten loses its place after a minute; one that reads now and then does not."""
+    sources = []
+    for _ in range(2):
+        mine, _ = ask(control)
+        feed.add(control.listeners.pop())
+        sources.append(DaemonSource(mine))
+    stopped, slow = sources
+    one, period_ns = frame(0), 16_000_000
+    for number in range(3 * STUCK_NS // period_ns):
+        feed.send(replace(one, sequence=number, received_ns=number * period_ns))
+        if number % 2000 == 0:
+            assert slow.read(1.0) is not None
+    assert len(feed.listeners) == 1
+    with pytest.raises(SourceError, match="stood still"):
+        list(iter(lambda: stopped.read(1.0), None))
+    for each in sources:
+        each.close()
+
+
+def test_programs_that_gave_up(control: Control, feed: FrameFeed) -> None:
+    """While the device is away for days no frame comes; programs that waited for one and left take nobody's place."""
+    for _ in range(5 * MOST_LISTENERS):
+        mine, _ = ask(control)
+        feed.add(control.listeners.pop())
+        DaemonSource(mine).close()
+    assert len(feed.listeners) == 1
 
 
 def test_few_at_once(control: Control, feed: FrameFeed) -> None:

@@ -186,6 +186,19 @@ def test_old_files_of_its_own_are_deleted_and_no_others(make: Callable[..., Benc
     assert len(names) == 3
 
 
+def test_files_that_are_collected(make: Callable[..., Bench]) -> None:
+    """A script that moves each file away, for years, leaves nothing behind in memory."""
+    bench = make(keep=2)
+    for number in range(20):
+        bench.frames(5)
+        bench.preroll.request(f"night{number}")
+        bench.preroll.poll()
+        wait_until(lambda: bench.preroll._writing and bench.preroll._writing.done())
+        for path in bench.folder.iterdir():
+            path.unlink()
+    assert len(bench.preroll._written) <= 2
+
+
 @pytest.mark.parametrize("keep", [1, 2])
 def test_clock_behind(make: Callable[..., Bench], keep: int) -> None:
     """With a clock that was set back, the files just written are kept, and older ones are deleted."""

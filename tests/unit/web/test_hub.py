@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
+from contextlib import closing
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,9 +19,12 @@ from starlette.websockets import WebSocket
 from structlog.testing import capture_logs
 
 from tests.unit.bridges.events import contact, health, touch
+from touchd.client import Subscriber
+from touchd.config.schema import BusSettings
 from touchd.errors import BusError
 from touchd.event import Event, PlateEvent, PlateKey, SpectrumEvent, TruthEvent, encode
 from touchd.sinks import stream
+from touchd.sinks.zeromq import ZeromqSink
 from touchd.web.guards import Access
 from touchd.web.hub import MOST_CLIENTS, TOPICS, Client, Hub
 from touchd.web.live import _asked, batch, routes
@@ -171,7 +176,32 @@ def test_a_bus_that_closes(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with capture_logs() as log:
         asyncio.run(ask())
-    assert [line["event"] for line in log] == ["not listened to"]
+    assert [line["event"] for line in log] == ["not listened to, and tried again"]
+
+
+def test_a_bus_that_is_closed_for_a_moment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A page's server that comes while the daemon makes its socket hears the daemon all the same."""
+    address, really, refused = f"ipc://{tmp_path}/bus", Subscriber, threading.Event()
+
+    def refuse_once(*arguments: Any, **options: Any) -> Subscriber[Event]:
+        if not refused.is_set():
+            refused.set()
+            raise BusError("this user may not use the socket", address, "join its group")
+        return really(*arguments, **options)
+
+    async def hear() -> None:
+        hub = Hub(address)
+        monkeypatch.setattr("touchd.web.hub.Subscriber", refuse_once)
+        hub.start()
+        with closing(ZeromqSink(BusSettings(bind=(address,)))) as sink:
+            sink.publish(health("streaming"), 0)
+            while hub.silent_s is None:
+                sink.poll()
+                await asyncio.sleep(0.01)
+        await asyncio.to_thread(hub.stop)
+
+    asyncio.run(asyncio.wait_for(hear(), 60))
+    assert refused.is_set()
 
 
 def test_most_clients(hub: Hub) -> None:

@@ -3,6 +3,7 @@
 page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
 
 - `worker.py`: READ FIRST: takes commands, runs one job at a time, says its state to whoever watches
+- `watchers.py`: says each change of the state to whoever watches; keeps the socket's file there
 - `state.py`: what is known so far, on disk after each step and tap: a restart goes on from there. What taps tell says
   `touchd.calibration.taps`
 - `kept.py`: the state's file as an earlier process left it, unless it is damaged

@@ -22,6 +22,7 @@ from touchd.calibration.wizard import MOST_BYTES
 from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_crosses, take_untouched
 from touchd.calibration.wizard.models import Trial, fit, train
 from touchd.calibration.wizard.state import State, collect, compare, tell, undo
+from touchd.calibration.wizard.watchers import stay, watch
 from touchd.errors import BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.files import socket_file
 from touchd.service.signals import stops
@@ -34,7 +35,6 @@ ENDING = ("untouched", "fit", "taps", "crosses", "train", "undo", "begin")
 """Commands that end the running job."""
 _AGAIN_S = 1.0
 """After a loss of the daemon's frames."""
-_PERIOD_S = 0.1
 
 log = structlog.get_logger()
 Job = Callable[[threading.Event], None]
@@ -241,7 +241,8 @@ def _told(error: Exception, what: str) -> dict[str, str]:
 async def serve(worker: Worker, state: State, path: Path, manager: Notifier, ready: Callable[[], object]) -> None:
     """Listen at `path` until SIGTERM, SIGINT or SIGHUP.
 
-    Raises AddressInUse if another wizard listens there; OutputError if no socket can be made there.
+    Raises AddressInUse if another wizard listens there; OutputError if no socket can be made there; BusError if
+    somebody removes its folder.
     """
     ended = asyncio.Event()
 
@@ -252,7 +253,7 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
             while line := await reader.readline():
                 asked = json.loads(line)
                 if asked == {"do": "watch"}:
-                    await _watch(state, writer, ended)
+                    await watch(state, reader, writer, ended)
                     return
                 answer = await asyncio.to_thread(worker.answer, asked)
                 writer.write(json.dumps(answer).encode() + b"\n")
@@ -268,20 +269,9 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
         worker.resume()
         ready()
         manager.ready()
-        await ended.wait()
+        await stay(path, ended)
         manager.stopping()
         server.close()
         await asyncio.to_thread(worker.end)
     finally:
         path.unlink(missing_ok=True)
-
-
-async def _watch(state: State, writer: asyncio.StreamWriter, ended: asyncio.Event) -> None:
-    """Write the state after each change, the newest only."""
-    seen = -1
-    while not ended.is_set():
-        if state.version != seen:
-            seen = state.version
-            writer.write(json.dumps(state.all()).encode() + b"\n")
-            await writer.drain()
-        await asyncio.sleep(_PERIOD_S)

@@ -119,6 +119,56 @@ def test_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert not path.exists()
 
 
+def test_pages_that_leave(tmp_path: Path) -> None:
+    """A page's server that watched and left costs nothing, though the state does not change for years."""
+    worker, state = made(tmp_path)
+    path = tmp_path / "socket"
+
+    def files() -> int:
+        return len(os.listdir("/proc/self/fd"))
+
+    async def watch_and_leave() -> None:
+        ready = asyncio.Event()
+        serving = asyncio.create_task(serve(worker, state, path, Notifier.from_environment(), ready.set))
+        await ready.wait()
+        before = files()
+        for n in range(20):
+            reader, writer = await asyncio.open_unix_connection(path)
+            writer.write(b'{"do":"watch"}\n' + n % 2 * b"and more")
+            assert await reader.readline()
+            writer.close()
+        while files() > before:
+            await asyncio.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGTERM)
+        await serving
+
+    asyncio.run(asyncio.wait_for(watch_and_leave(), 60))
+
+
+def test_removed_socket(tmp_path: Path) -> None:
+    """A page finds the wizard again though somebody has removed its socket's file."""
+    worker, state = made(tmp_path)
+    path = tmp_path / "socket"
+
+    async def remove_and_ask() -> bytes:
+        ready = asyncio.Event()
+        serving = asyncio.create_task(serve(worker, state, path, Notifier.from_environment(), ready.set))
+        await ready.wait()
+        path.unlink()
+        while not path.exists():
+            await asyncio.sleep(0.01)
+        reader, writer = await asyncio.open_unix_connection(path)
+        writer.write(b'{"do":"pause"}\n')
+        answer = await reader.readline()
+        os.kill(os.getpid(), signal.SIGTERM)
+        await serving
+        writer.close()
+        return answer
+
+    assert json.loads(asyncio.run(asyncio.wait_for(remove_and_ask(), 60))) == {"ok": True}
+    assert not list(tmp_path.glob("*socket*")), "nothing is left behind"
+
+
 def test_end_on_a_full_disk(tmp_path: Path, disk: dict[str, bool]) -> None:
     """The wizard removes its socket at its end, though the disk is full."""
     worker, state = made(tmp_path)
