@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from touchd.detection.hum import FAR_BELOW
 from touchd.frame import Acquisition
 
 Signal = NDArray[np.floating]
@@ -26,8 +27,8 @@ starts at full amplitude (twin). An impulse with a thousandth of the finger's en
 _TAPER = 0.5
 """Of the window: Hann's attenuates impulses near the frame's ends, to which an atlas with its flatter window is
 sensitive."""
-_FIRST_BIN = 3
-"""Offsets and mains lie below."""
+_FIRST_BIN, _BESIDE_HUM = 3, 1.6 * FAR_BELOW
+"""Offsets lie below, and, as a share of the band's lower edge, what is left of hum."""
 _BELOW, _ABOVE = 0.5, 0.2
 """Distance of the bins used from the chirp's band, in widths of it: where a finger leaks less than noise."""
 _FEWEST_BINS = 8
@@ -156,5 +157,5 @@ def _bins_outside(acquisition: Acquisition) -> NDArray[np.int64]:
     f_hz = np.arange(acquisition.samples // 2) * acquisition.sample_rate_hz / acquisition.samples
     low, high = acquisition.chirp.band_hz
     outside = (f_hz < low - _BELOW * (high - low)) | (f_hz > high + _ABOVE * (high - low))
-    outside[:_FIRST_BIN] = False
+    outside[f_hz < _BESIDE_HUM * low] = outside[:_FIRST_BIN] = False
     return np.flatnonzero(outside)

@@ -85,6 +85,6 @@ def test_noise_of_channels() -> None:
         t_ns += 8_000_000
     noise = pipeline.noise_channels()
     assert noise[2] == pytest.approx(2 * noise[0], rel=0.3)
-    counts = np.full(RIG.shape, 3000, np.int16)
+    counts = np.tile(np.rint(3000 * np.sin(1.9 * np.arange(RIG.samples))).astype(np.int16), (RIG.channels, 1))
     pipeline.process(Frame(counts, 120, t_ns, t_ns))
     assert pipeline.noise_channels() == noise
