@@ -18,7 +18,7 @@ from touchd.detection.detector import Detector, Notify
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
-from touchd.localization.localization import SETTLES_NS, Localization
+from touchd.localization.localization import RINGS, SETTLES_NS, Localization
 from touchd.localization.localizer import make_localizer
 from touchd.localization.model import Model
 from touchd.outcome import Counters, Outcome
@@ -90,8 +90,6 @@ class Pipeline:
             found = self._localizer.follow(detection) if tracker.alive and not self.screen_off else None
             if found is None:
                 detection = self.detector.clean(detection)
-                if detection.sounds:
-                    self._rang_ns = frame.t_ns
         self._detection, outcome = detection, detection.outcome
         if outcome <= _LEARNING:  # repeated, stuck, learning: says nothing of fingers
             found, contacts = Localization(outcome), self._without_measurement(detection)
@@ -104,6 +102,7 @@ class Pipeline:
                 found = SCREEN_OFF
             elif found is None:
                 found = self._localizer.localize(detection, alive=tracker.alive)
+                self._rang_ns = frame.t_ns if found is RINGS else self._rang_ns
             touches = found.touches
             if outcome is _TOUCHED and self._rings(frame.t_ns, len(touches)):
                 contacts = tracker.hold(frame.t_ns)

@@ -7,6 +7,8 @@ fingers solves for them as unknowns (`touchd.localization.nuisance`).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
@@ -79,7 +81,7 @@ class Impulses:
         if not self._works or len(frames) < _FEWEST_FRAMES:
             return np.zeros(len(frames), bool)
         # Against the median, in which an impulse leaves no trace.
-        loudness = np.array([self._loudness(residual) for residual in frames - np.median(frames, axis=0)])
+        loudness = np.array([self.loudness(residual) for residual in frames - np.median(frames, axis=0)])
         self._level = float(np.percentile(loudness, 25))
         self._frames = len(frames)
         return np.asarray(loudness > LOUD * self._level)
@@ -89,7 +91,7 @@ class Impulses:
         if self._works and self._level:
             self._frames = min(self._frames + 1, MEMORY_FRAMES)
             # An impulse counts as the loudest noise.
-            loudness = min(self._loudness(residual), LOUD * self._level)
+            loudness = min(self.loudness(residual), LOUD * self._level)
             self._level += (loudness - self._level) / self._frames
 
     def blank(self, residual: Signal, energy: float) -> tuple[int, ...]:
@@ -101,8 +103,7 @@ class Impulses:
         energy : float
             Its energy, counts squared.
         """
-        limit = LOUD * self._level + LEAK * energy
-        loudness = self._loudness(residual) if self._level else 0.0
+        limit, loudness = self.most(energy), self.loudness(residual)
         if loudness <= limit:
             self.in_vain = 0
             return ()
@@ -129,15 +130,11 @@ class Impulses:
             residual[:, start : start + WIDTH] = 0
         return tuple(starts)
 
-    def sounds(self, residual: Signal, energy: float) -> bool:
-        """Return whether a residual in which `blank` found nothing is louder outside the band than fingers are."""
-        return self.in_vain > 0 and self.is_loud(residual, energy)
+    def most(self, energy: float) -> float:
+        """Return what noise and fingers have outside the band at most, in a residual of this energy."""
+        return LOUD * self._level + LEAK * energy if self._level else math.inf
 
-    def is_loud(self, residual: Signal, energy: float) -> bool:
-        """Return whether a residual, of this energy, is louder outside the band than noise and fingers are."""
-        return self._level > 0 and self._loudness(residual) > LOUD * self._level + LEAK * energy
-
-    def _loudness(self, residual: Signal) -> float:
+    def loudness(self, residual: Signal) -> float:
         """Return the energy of a residual outside the band."""
         residual.dot(self._matrix, self._outside)
         self._flat.dot(self._flat, self._energy)

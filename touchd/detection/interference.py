@@ -5,7 +5,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 from numpy.typing import DTypeLike
 
-from touchd.detection.baseline import Baseline
+from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
 from touchd.detection.hum import BELOW, Hum
@@ -13,6 +13,12 @@ from touchd.detection.impulses import Impulses
 from touchd.detection.tones import Tones
 from touchd.frame import Acquisition
 from touchd.outcome import Outcome
+
+IN_BAND_NS = 16_000_000
+"""A knock may ring in the band for so long: there glass fades by 60 dB in it."""
+FADES_NS, FADED = 30_000_000, 4.0
+"""After this time a knock has faded by this factor in energy, above 8 kHz: glass with a loss factor of 0.005 by 60 dB.
+A rise by it is another knock."""
 
 
 class Interference:
@@ -32,6 +38,8 @@ class Interference:
         self.tones, self.impulses = Tones(acquisition, dtype), Impulses(acquisition, dtype)
         self._baseline, self._gate = baseline, gate
         self._below = Hum(acquisition, dtype, BELOW)
+        self._loudness = self._loudest = 0.0
+        self._heard_ns = self._knocked_ns = 0
         self._top = 2 ** (acquisition.bits - 1) - 1
 
     def clean(self, detection: Detection, *, listens: bool) -> Detection:
@@ -50,11 +58,12 @@ class Interference:
         if hits or hums:  # without them the plate may be untouched
             energy, touched = self._again()
             changed = hums and not touched and gate.update(energy)  # noise is not learned from a frame with an impulse
-        sounds = touched and not hits and self.impulses.sounds(residual, energy)
+        sounds = touched and not hits and self._rings(detection, energy)
         if rings := sounds:  # of low frequencies in the end
             self._below.remove(residual)
             energy, touched = self._again()
-            sounds = touched and (self.impulses.sounds(residual, energy) or baseline.clips(self._top))
+            rings_in_band = 0 <= detection.t_ns - self._knocked_ns < IN_BAND_NS
+            sounds = touched and (rings_in_band or self._is_loud(residual, energy) or baseline.clips(self._top))
         if not (found or hits or hums or rings):
             return detection
         return replace(
@@ -62,6 +71,25 @@ class Interference:
             noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=self.tones.known_hz, hits=hits,
             sounds=sounds,
         )  # fmt: skip
+
+    def _rings(self, detection: Detection, energy: float) -> bool:
+        """Return whether a frame in which no impulse was found is louder outside the band, as after a knock.
+
+        That fades within milliseconds, and noise does not.
+        """
+        t_ns = detection.t_ns
+        before = self._loudness if 0 <= t_ns - self._heard_ns < FADES_NS else 0.0
+        self._heard_ns = t_ns
+        self._loudness = loudness = self.impulses.loudness(detection.residual) if self.impulses.in_vain else 0.0
+        if loudness <= self.impulses.most(energy):
+            return False
+        if loudness > FADED * before:
+            self._knocked_ns, self._loudest = t_ns, loudness
+        self._loudest = max(self._loudest, loudness)
+        return FADED * loudness < self._loudest or 0 <= t_ns - self._knocked_ns < FADES_NS
+
+    def _is_loud(self, residual: Signal, energy: float) -> bool:
+        return self.impulses.loudness(residual) > self.impulses.most(energy)
 
     def _again(self) -> tuple[float, bool]:
         """Return the energy of what is left, and whether the plate is still touched."""
@@ -73,7 +101,7 @@ class Interference:
         hum, residual = self._baseline.hum, detection.residual
         if not hum.find(residual, energy, self._gate.noise_energy):
             return False
-        if self.impulses.is_loud(residual, self._baseline.residual_energy()):
+        if self._is_loud(residual, self._baseline.residual_energy()):
             hum.put_back(residual)
             return False
         return True

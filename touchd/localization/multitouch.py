@@ -64,7 +64,8 @@ class MultitouchSearch:
         """Tells fingers that a fit lacks, and those that are none."""
         self._t_ns = self._before_ns = 0  # of the last frame and the one before
         self._spent = 0.0  # by the solver before this frame
-        self._silent_ns = 0  # when the last knock has faded
+        self._silent_ns = self._waiting_ns = 0  # when the last knock has faded; since when fingers wait
+        self._rang = False  # whether they wait since a knock
         self.reset()
 
     def reset(self) -> None:
@@ -92,7 +93,7 @@ class MultitouchSearch:
     def explains(self) -> bool:
         """Whether a search, begun not long ago, is about to say what has come beside tracked fingers."""
         tells = self._running is not None and self._tracked and not self._looks
-        return tells and 0 <= self._t_ns - self._begun_ns < _HOLD_NS
+        return tells and 0 <= self._t_ns - self._waiting_ns < _HOLD_NS
 
     def cancel(self) -> None:
         """End the search that goes on, if any: the fingers that it began with have changed."""
@@ -105,7 +106,9 @@ class MultitouchSearch:
         silent another one begins.
         """
         if rings:
-            self._silent_ns = t_ns + SETTLES_NS
+            self._rang &= 0 <= t_ns - self._waiting_ns < _HOLD_NS
+            self._waiting_ns = self._waiting_ns if self._rang else t_ns
+            self._rang, self._silent_ns = True, t_ns + SETTLES_NS
         if rings or self._begun_ns < self._silent_ns <= t_ns:
             self.cancel()
             self._begun_ns = t_ns
@@ -197,6 +200,8 @@ class MultitouchSearch:
     def _begin(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool) -> Steps[Found]:
         self._first, self._sought = bins.copy(), fit.residual_energy
         self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
+        self._waiting_ns = self._waiting_ns if self._rang else self._t_ns
+        self._rang &= self._t_ns < self._silent_ns
         self._grown, self._frames, self._credit, self._looks = 0, 0, 0.0, False
         self._running = self._all(self._first, fit, signal, len(fit.positions_mm) if tracked else 0, grow=tracked)
         return self._running

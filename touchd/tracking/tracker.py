@@ -82,7 +82,7 @@ class Tracker:
         self.alive = False
         """Whether any contact is down."""
         self._next_id = 1
-        self._last_ns = 0
+        self._last_ns = self._seen_ns = 0
         self._reported_ns = 0
         self._ended_ns = -_LIFTING_NS
 
@@ -103,6 +103,8 @@ class Tracker:
         """
         elapsed_ns, same = max(t_ns - self._last_ns, 1), touches is self._touches
         self._last_ns, self._touches = t_ns, touches
+        if touches:
+            self._seen_ns = t_ns
         if same and self._settled and 0 <= t_ns - self._reported_ns <= _REFRESH_NS - elapsed_ns:
             return []
         elapsed_s = elapsed_ns * 1e-9
@@ -124,7 +126,7 @@ class Tracker:
 
     def holds(self, t_ns: int) -> bool:
         """Return whether there are contacts, and the last touches so fresh that they may stay without more of them."""
-        return self.alive and 0 <= t_ns - self._last_ns < _HELD_NS
+        return self.alive and 0 <= t_ns - self._seen_ns < _HELD_NS
 
     def hold(self, t_ns: int) -> list[Contact]:
         """Keep all contacts in a frame that says nothing of fingers; return the same as `track`."""
