@@ -376,7 +376,7 @@ def test_the_example_is_a_whole_daemon(tmp_path: Path) -> None:
                 daemon.stdin.close()
                 while not (isinstance(health, HealthEvent) and health.state == "stopping"):
                     health = next(events)
-                assert (health.frames, health.lost, health.skipped["learning"]) == (38, 2, 38)
+                assert (health.frames, health.lost, health.skipped["learning"]) == (38, 2, 32)  # learn_frames
                 assert health.model == "blind"
                 assert daemon.wait(PATIENCE_S) == 0
             finally:

@@ -99,7 +99,7 @@ def _low_frequencies(acquisition: Acquisition, below: float) -> NDArray[np.float
     """Return orthonormal columns, (samples, k), that hold all frequencies far below the band."""
     n, rate_hz = acquisition.samples, acquisition.sample_rate_hz
     seconds = (np.arange(n) - (n - 1) / 2) / rate_hz
-    hz = np.arange(0, below * acquisition.chirp.band_hz[0], rate_hz / n / 2)
+    hz = np.linspace(0, below_hz := below * acquisition.chirp.band_hz[0], 2 + int(2 * below_hz * n / rate_hz))
     phase = 2 * np.pi * np.outer(seconds, hz)
     waves = np.concatenate([np.cos(phase), np.sin(phase[:, 1:])], axis=1)
     columns, size, _ = np.linalg.svd(waves, full_matrices=False)

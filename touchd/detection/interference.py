@@ -16,6 +16,8 @@ from touchd.outcome import Outcome
 
 IN_BAND_NS = 16_000_000
 """A knock may ring in the band for so long: there glass fades by 60 dB in it."""
+CLIPS_NS = 80_000_000
+"""And clip for so long, where nothing before the ADC takes out its low frequencies."""
 FADES_NS, FADED = 30_000_000, 4.0
 """After this time a knock has faded by this factor in energy, above 8 kHz: glass with a loss factor of 0.005 by 60 dB.
 A rise by it is another knock."""
@@ -39,7 +41,7 @@ class Interference:
         self._baseline, self._gate = baseline, gate
         self._below = Hum(acquisition, dtype, BELOW)
         self._loudness = self._loudest = 0.0
-        self._heard_ns = self._knocked_ns = 0
+        self._heard_ns = self._knocked_ns = -CLIPS_NS
         self._top = 2 ** (acquisition.bits - 1) - 1
 
     def clean(self, detection: Detection, *, listens: bool) -> Detection:
@@ -53,18 +55,20 @@ class Interference:
         if found := listens and self.tones.find(residual, gate.noise_energy):
             energy, touched = self._again()
             changed = not touched and gate.update(energy)
-        hums = touched and self._hums(detection, energy)
-        hits = self.impulses.blank(residual, energy) if touched and not hums else ()
+        since_ns = detection.t_ns - self._knocked_ns
+        clips = touched and 0 <= since_ns < CLIPS_NS and baseline.clips(self._top)
+        hums = touched and not clips and self._hums(detection, energy)
+        hits = self.impulses.blank(residual, energy) if touched and not (hums or clips) else ()
         if hits or hums:  # without them the plate may be untouched
             energy, touched = self._again()
             changed = hums and not touched and gate.update(energy)  # noise is not learned from a frame with an impulse
-        sounds = touched and not hits and self._rings(detection, energy)
-        if rings := sounds:  # of low frequencies in the end
+        sounds = clips
+        if rings := touched and not (hits or clips) and self._rings(detection, energy):  # with low frequencies longest
             self._below.remove(residual)
             energy, touched = self._again()
-            rings_in_band = 0 <= detection.t_ns - self._knocked_ns < IN_BAND_NS
+            rings_in_band = detection.t_ns - self._knocked_ns < IN_BAND_NS
             sounds = touched and (rings_in_band or self._is_loud(residual, energy) or baseline.clips(self._top))
-        if not (found or hits or hums or rings):
+        if not (found or hits or hums or rings or clips):
             return detection
         return replace(
             detection, outcome=Outcome.TOUCHED if touched else Outcome.UNTOUCHED, energy=energy, noise_changed=changed,

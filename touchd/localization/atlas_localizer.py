@@ -132,7 +132,7 @@ class AtlasLocalizer:
             self._begin(detection)
             if self._rests(detection):
                 return Localization(Outcome.STILL, self._touches)
-            if detection.sounds and alive and self._follower.may_be_hidden(self._plate.bins(detection.residual)):
+            if detection.sounds and not (alive and self._follower.has_lifted(self._plate.bins(detection.residual))):
                 return RINGS
         return self._localization(detection, begun, alive=alive, complete=complete)
 

@@ -142,9 +142,9 @@ class Follower:
             and signal - self._noise.plate_energy(bins.vector) > CRITERIA.fair * signal
         )
 
-    def may_be_hidden(self, bins: Bins) -> bool:
-        """Return whether the last frame's fingers may still be there, in what a knock has left of this one."""
-        return bins.energy - self._noise.noise_energy > _LIFTED * self._signal > 0
+    def has_lifted(self, bins: Bins) -> bool:
+        """Return whether none of the last frame's fingers can be hidden in what a knock has left of this one."""
+        return not bins.energy - self._noise.noise_energy > _LIFTED * self._signal > 0
 
     def update(self, bins: Bins, fit: Fit, excess: float) -> bool:
         """Take the fit of a frame, which leaves the share `excess`; return whether its shapes are new.

@@ -138,3 +138,12 @@ def test_a_dead_channel_is_found() -> None:
     silent = np.zeros((COUNT, *SIGNAL.shape))
     silent[:, 0] = -SIGNAL[0]
     assert mean(silent).dead.tolist() == [True, False]
+
+
+def test_hum() -> None:
+    """Mains hum, louder than the signal, neither disturbs frames nor counts as noise of what a fit may leave."""
+    turns = 50.0 * (np.arange(COUNT)[:, None] * 0.0103 + np.arange(SIGNAL.shape[1]) / 1e5)
+    hum = np.repeat(8000 * np.sin(2 * np.pi * turns)[:, None], 2, axis=1)
+    found = mean(hum)
+    assert found.frames >= 0.97 * COUNT
+    np.testing.assert_allclose(found.noise, NOISE / np.sqrt(COUNT), rtol=0.1)

@@ -334,3 +334,20 @@ def test_settled() -> None:
         assert mine[0].vx_mm_s == pytest.approx(its[0].vx_mm_s, abs=2e-3)
         assert mine[0].area_mm2 == pytest.approx(its[0].area_mm2, rel=0.02)
         assert mine[0].kind == its[0].kind
+
+
+def test_frames_that_say_nothing() -> None:
+    """A contact is kept through them, with messages as often as ever, but for no longer than 0.15 s."""
+    stroke = Stroke()
+    stroke.feed(at(50, 50), frames=4)
+    kept = 0
+    while stroke.tracker.holds(stroke.t_ns + PERIOD_NS):
+        stroke.t_ns += PERIOD_NS
+        kept += 1
+        if report := stroke.tracker.hold(stroke.t_ns):
+            stroke.reports.append(report)
+    assert kept == 18
+    assert stroke.phases()[-1] == "hold"
+    stroke.feed(frames=2)
+    assert stroke.phases()[-1] == "up"
+    assert not stroke.tracker.holds(stroke.t_ns)

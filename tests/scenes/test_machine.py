@@ -1,0 +1,87 @@
+"""A plate in the world hums and is knocked on: neither hides a touch, nor lifts a finger that rests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.scenes.stages import empty_stage, play, score
+from touchd.evaluation.replay_scores import StreamScores
+from touchd.twin.electronics import Electronics, Tone
+from touchd.twin.instrument import Instrument
+from touchd.twin.physics.knock import Knock
+from touchd.twin.scenes.catalogue import stage_scene
+from touchd.twin.scenes.timeline import Stage, still
+from touchd.twin.simulate import DEFAULT_PLATE
+
+
+def mains(level_db: float) -> tuple[Tone, ...]:
+    return tuple(Tone(50.0 * n, level_db - 6 * (n - 1)) for n in (1, 3, 5))
+
+
+def taps(stage: Stage, finger: str, start_s: float, stop_s: float) -> None:
+    while start_s + 0.25 < stop_s:
+        stage.lay(finger, start_s, start_s + 0.25, still(*stage.rng.uniform(14, 186, 2)), force_n=0.4)
+        start_s += stage.rng.uniform(0.4, 0.6)
+
+
+@pytest.mark.parametrize("finger", ["fingertip", "glove"])
+def test_mains_hum_hides_no_tap(finger: str, instrument: Instrument) -> None:
+    """At -50 dB it once hid all gloved taps, at -30 dB all of bare fingers."""
+
+    def tapped(tones: tuple[Tone, ...]) -> StreamScores:
+        stage = empty_stage(8.0, seed=2503000)
+        stage.electronics = Electronics(peak=0.3, tones=tones)
+        taps(stage, finger, 1.0, 7.5)
+        return score(stage, play(stage, instrument))
+
+    quiet = tapped(())
+    assert quiet.touches > 10
+    assert quiet.missed <= 1
+    for level_db in (-40.0, -20.0, 0.0):
+        found = tapped(mains(level_db))
+        assert (found.missed, found.ghosts) == (quiet.missed, 0)
+        assert np.median(np.hypot(*found.error_mm.T)) < 1.1 * np.median(np.hypot(*quiet.error_mm.T))
+
+
+def test_hum_that_begins_and_ends_under_fingers(instrument: Instrument) -> None:
+    stage = empty_stage(7.0, seed=2503001)
+    stage.electronics = Electronics(peak=0.4, tones=(Tone(50.0, -6.0, 2.0, 4.0),))
+    stage.lay("fingertip", 1.0, 5.5, still(60.0, 120.0), force_n=0.5)
+    stage.lay("fingertip", 1.4, 5.0, still(140.0, 60.0), force_n=0.5, column=1)
+    taps(stage, "fingertip", 5.8, 6.8)
+    found = score(stage, play(stage, instrument))
+    assert (found.missed, found.ghosts, found.split, found.clean) == (0, 0, 0, True)
+
+
+@pytest.mark.parametrize(("level_db", "contact_s"), [(-20.0, 6e-5), (-10.0, 6e-5), (0.0, 6e-5), (-30.0, 3e-4)])
+def test_knocks_lift_no_resting_finger(level_db: float, contact_s: float, instrument: Instrument) -> None:
+    """Of a ring or a nail. Every second one of a ring once did, and after loud ones the finger was lost for seconds."""
+    stage, rng = empty_stage(8.0, seed=2503002), np.random.default_rng(2503003)
+    stage.lay("fingertip", 0.9, 7.5, still(70.0, 120.0), force_n=0.5)
+    for at_s in np.arange(1.1, 7.3, 0.3) + rng.uniform(0, 0.1, 21):
+        stage.knocks.append(Knock(float(at_s), *rng.uniform(12, 188, 2).tolist(), level_db, contact_s))
+    found = score(stage, play(stage, instrument))
+    assert (found.missed, found.ghosts, found.split, found.clean) == (0, 0, 0, True)
+
+
+def test_knocks_alone_are_no_touches(instrument: Instrument) -> None:
+    stage, rng = empty_stage(8.0, seed=2503004), np.random.default_rng(2503005)
+    for number, at_s in enumerate(np.arange(1.0, 7.8, 0.17).tolist()):
+        level_db, contact_s = ((0.0, 6e-5), (10.0, 6e-5), (-30.0, 3e-4))[number % 3]
+        stage.knocks.append(Knock(at_s, *rng.uniform(12, 188, 2).tolist(), level_db, contact_s))
+    outcome = play(stage, instrument)
+    assert outcome.touches == []
+    assert outcome.notices == []
+
+
+@pytest.mark.parametrize("seed", [2503006, 2503007])
+def test_nails_that_tap_beside_a_resting_finger(seed: int, instrument: Instrument) -> None:
+    """On a plate that hums, while rings knock on it."""
+    stage = stage_scene("machine", DEFAULT_PLATE, seed=seed)
+    found = score(stage, play(stage, instrument))
+    print(found.touches, found.missed, found.split, np.median(found.latency_ms))
+    assert found.touches >= 5
+    assert found.missed <= 1
+    assert found.split <= 1
+    assert found.ghosts == 0
