@@ -60,7 +60,8 @@ def test_knocks_lift_no_resting_finger(level_db: float, contact_s: float, instru
     stage, rng = empty_stage(8.0, seed=2503002), np.random.default_rng(2503003)
     stage.lay("fingertip", 0.9, 7.5, still(70.0, 120.0), force_n=0.5)
     for at_s in np.arange(1.1, 7.3, 0.3) + rng.uniform(0, 0.1, 21):
-        stage.knocks.append(Knock(float(at_s), *rng.uniform(12, 188, 2).tolist(), level_db, contact_s))
+        x_mm, y_mm = rng.uniform(12, 188, 2).tolist()
+        stage.knocks.append(Knock(float(at_s), x_mm, y_mm, level_db, contact_s))
     found = score(stage, play(stage, instrument))
     assert (found.missed, found.ghosts, found.split, found.clean) == (0, 0, 0, True)
 
@@ -69,7 +70,8 @@ def test_knocks_alone_are_no_touches(instrument: Instrument) -> None:
     stage, rng = empty_stage(8.0, seed=2503004), np.random.default_rng(2503005)
     for number, at_s in enumerate(np.arange(1.0, 7.8, 0.17).tolist()):
         level_db, contact_s = ((0.0, 6e-5), (10.0, 6e-5), (-30.0, 3e-4))[number % 3]
-        stage.knocks.append(Knock(at_s, *rng.uniform(12, 188, 2).tolist(), level_db, contact_s))
+        x_mm, y_mm = rng.uniform(12, 188, 2).tolist()
+        stage.knocks.append(Knock(at_s, x_mm, y_mm, level_db, contact_s))
     outcome = play(stage, instrument)
     assert outcome.touches == []
     assert outcome.notices == []

@@ -10,6 +10,7 @@ import pytest
 from tests.scenes.numerics.degenerate import flushed, with_small_weights
 from touchd.config.schema import BaselineSettings
 from touchd.detection.baseline import Baseline
+from touchd.frame import Acquisition
 from touchd.localization.model import default_model_path
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
@@ -44,7 +45,7 @@ def test_denormal_features_may_be_flushed(scale: float, features: np.ndarray) ->
 
 def test_a_baseline_that_fades_stays_finite_and_harmless() -> None:
     """A channel that falls silent fades to denormals within a minute, and there it rests."""
-    baseline = Baseline((1, 8), BaselineSettings())
+    baseline = Baseline(Acquisition(channels=1, samples=8, sample_rate_hz=250e3), BaselineSettings())
     baseline.mean[:] = 20_000.0
     silence = np.zeros((1, 8), np.int16)
     for number in range(20_000):

@@ -23,7 +23,7 @@ def by_receptance(instrument: Instrument, knock: Knock) -> np.ndarray:
     rate_hz = instrument.acquisition.sample_rate_hz
     n = round(SECONDS * rate_hz)
     decay = 8 / SECONDS
-    nu = 2 * np.pi * np.fft.rfftfreq(n, 1 / rate_hz) - 1j * decay
+    nu = (2 * np.pi * np.fft.rfftfreq(n, 1 / rate_hz) - 1j * decay).astype(np.complex128)
     r = instrument.response
     shape = r.shape_at(np.array([knock.x_mm]), np.array([knock.y_mm]), np.array([FACE_MM2]))
     heard = Response(instrument.plate, r.modes, nu, r.loss).receptance(shape, r.modes.discs[:, 1:])
