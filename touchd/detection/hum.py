@@ -23,6 +23,8 @@ LOUD = 2.0
 LEAK = 0.06
 """Or of a touched frame, this share of its energy beyond that: fingers have up to 0.03 (twin), as a frame cuts off what
 rings."""
+_MOST_TURNS = 48.0
+"""And up to so many turns in a frame: in a longer one than 4 ms more would cost more than they are worth."""
 _TOLD = 1e-5
 """Combinations of low frequencies with less than this of a frame, over the most, are none that a frame can tell."""
 
@@ -99,7 +101,8 @@ def _low_frequencies(acquisition: Acquisition, below: float) -> NDArray[np.float
     """Return orthonormal columns, (samples, k), that hold all frequencies far below the band."""
     n, rate_hz = acquisition.samples, acquisition.sample_rate_hz
     seconds = (np.arange(n) - (n - 1) / 2) / rate_hz
-    hz = np.linspace(0, below_hz := below * acquisition.chirp.band_hz[0], 2 + int(2 * below_hz * n / rate_hz))
+    below_hz = min(below * acquisition.chirp.band_hz[0], _MOST_TURNS * rate_hz / n)
+    hz = np.linspace(0, below_hz, 2 + int(2 * below_hz * n / rate_hz))
     phase = 2 * np.pi * np.outer(seconds, hz)
     waves = np.concatenate([np.cos(phase), np.sin(phase[:, 1:])], axis=1)
     columns, size, _ = np.linalg.svd(waves, full_matrices=False)

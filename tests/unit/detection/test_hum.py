@@ -99,3 +99,14 @@ def test_touches_are_told_from_it(begins: int, level: float) -> None:
             detector.adapt(detection, detection.outcome is Outcome.TOUCHED, False, False)
     assert told.count(False) <= 1  # the first frame of it may count as touched
     assert detector.noise_counts() == pytest.approx(SIGMA, rel=0.1)
+
+
+def test_long_frames_stay_cheap() -> None:
+    """Of a tenth of a second there are thousands of frequencies below the band; mains are among those looked at."""
+    long = ACQUISITIONS["audio-192"].model_copy(update={"samples": 19_200})
+    turns = np.arange(32)[:, None] * 0.37 + 50.0 * np.arange(long.samples) / long.sample_rate_hz
+    residuals = np.repeat(1000 * np.sin(2 * np.pi * turns)[:, None], long.channels, axis=1)
+    found = Hum(long, np.float64)
+    assert found.learn(residuals)
+    assert found.white_left > 0.99
+    assert np.abs(residuals).max() < 1.0
