@@ -62,7 +62,7 @@ class Detector:
         self.liveness = Liveness()
         self._baseline = Baseline(acquisition, settings.baseline, dtype)
         self._interference = Interference(acquisition, self._baseline, self.gate, dtype)
-        self._tones, self._impulses = self._interference.tones, self._interference.impulses
+        self._tones = self._interference.tones
         self._relearn = Relearn(shape, settings.baseline, dtype)
         self._stuck = Stuck(shape, dtype)
         self._live = self._stuck.live
@@ -172,7 +172,7 @@ class Detector:
             if not self.sequence % KEEP_EVERY:
                 self._stuck.keep(detection.signal)
             if not self.sequence % self._pace.slow_every:
-                self._impulses.update(detection.residual)
+                self._interference.update(detection.residual)
             if not alive:
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
@@ -250,7 +250,7 @@ class Detector:
             residuals = baseline.learned()
             if self._tones.learn(residuals):
                 energies = baseline.learn_from(baseline.mean + residuals)
-            hit = self._impulses.learn(baseline.window)
+            hit = self._interference.learn(baseline.window)
             if 0 < 2 * hit.sum() < len(hit):  # where impulses have hit most frames, these stay
                 energies = baseline.learn_from(baseline.window[~hit])
             self.gate.learn(energies)

@@ -20,9 +20,9 @@ BELOW, FAR_BELOW = 0.5, 0.1
 """Up to this share of the band's lower edge frequencies are taken out after a knock, 25 kHz, and of hum, 5 kHz."""
 LOUD = 2.0
 """There is hum where they hold this multiple of what white noise leaves there: six standard deviations."""
-LEAK = 0.06
-"""Or of a touched frame, this share of its energy beyond that: fingers have up to 0.03 (twin), as a frame cuts off what
-rings."""
+LEAK = 0.3
+"""And of a touched frame this share of its energy: fingers have up to 0.03 (twin), as a frame cuts off what rings, and
+impulses 0.2."""
 _MOST_TURNS = 48.0
 """And up to so many turns in a frame: in a longer one than 4 ms more would cost more than they are worth."""
 _TOLD = 1e-5

@@ -30,7 +30,7 @@ _TAPER = 0.5
 """Of the window: Hann's attenuates impulses near the frame's ends, to which an atlas with its flatter window is
 sensitive."""
 _FIRST_BIN, _BESIDE_HUM = 3, 1.6 * FAR_BELOW
-"""Offsets lie below, and, as a share of the band's lower edge, what is left of hum."""
+"""Offsets lie below, and, as a share of the band's lower edge, hum with what is left beside it."""
 _BELOW, _ABOVE = 0.5, 0.2
 """Distance of the bins used from the chirp's band, in widths of it: where a finger leaks less than noise."""
 _FEWEST_BINS = 8
@@ -51,11 +51,13 @@ class Impulses:
     acquisition : Acquisition
     dtype : type
         Of the residuals.
+    hums : bool
+        Whether hum is taken out of them, of which something is left beside it.
     """
 
-    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> None:
+    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32, *, hums: bool = False) -> None:
         n = acquisition.samples
-        bins = _bins_outside(acquisition)
+        bins = _bins_outside(acquisition, hums=hums)
         phase = (np.outer(np.arange(n), bins) % n) * (2 * np.pi / n)
         matrix = acquisition.window(_TAPER)[:, None] * np.concatenate([np.cos(phase), -np.sin(phase)], axis=1)
         self._works = len(bins) >= _FEWEST_BINS and n > 2 * WIDTH
@@ -149,10 +151,12 @@ class Impulses:
         return np.asarray((rows * told[..., None]).reshape(-1, rows.shape[-1]).astype(self._matrix.dtype))
 
 
-def _bins_outside(acquisition: Acquisition) -> NDArray[np.int64]:
+def _bins_outside(acquisition: Acquisition, *, hums: bool) -> NDArray[np.int64]:
     """Return the bins far from the chirp's band, on both sides."""
     f_hz = np.arange(acquisition.samples // 2) * acquisition.sample_rate_hz / acquisition.samples
     low, high = acquisition.chirp.band_hz
     outside = (f_hz < low - _BELOW * (high - low)) | (f_hz > high + _ABOVE * (high - low))
-    outside[f_hz < _BESIDE_HUM * low] = outside[:_FIRST_BIN] = False
+    outside[:_FIRST_BIN] = False
+    if hums:
+        outside[f_hz < _BESIDE_HUM * low] = False
     return np.flatnonzero(outside)

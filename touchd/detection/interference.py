@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 from msgspec.structs import replace
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.detection import Detection
@@ -37,12 +38,27 @@ class Interference:
     """
 
     def __init__(self, acquisition: Acquisition, baseline: Baseline, gate: Gate, dtype: DTypeLike) -> None:
-        self.tones, self.impulses = Tones(acquisition, dtype), Impulses(acquisition, dtype)
+        self.tones = Tones(acquisition, dtype)
+        self._impulses = [Impulses(acquisition, dtype, hums=hums) for hums in (False, True)]
         self._baseline, self._gate = baseline, gate
         self._below = Hum(acquisition, dtype, BELOW)
         self._loudness = self._loudest = 0.0
         self._heard_ns = self._knocked_ns = -CLIPS_NS
         self._top = 2 ** (acquisition.bits - 1) - 1
+
+    @property
+    def impulses(self) -> Impulses:
+        """What finds impulses: with hum by fewer frequencies."""
+        return self._impulses[self._baseline.hum.known]
+
+    def learn(self, frames: Signal) -> NDArray[np.bool_]:
+        """Learn the noise from untouched frames, (n, channels, samples); return which an impulse has hit, (n,)."""
+        return [each.learn(frames) for each in self._impulses][self._baseline.hum.known]
+
+    def update(self, residual: Signal) -> None:
+        """Follow the noise by an untouched frame, (channels, samples)."""
+        for each in self._impulses:
+            each.update(residual)
 
     def clean(self, detection: Detection, *, listens: bool) -> Detection:
         """Take out of a touched frame's residual what is found in it; return the same detection if nothing is.
@@ -103,7 +119,8 @@ class Interference:
     def _hums(self, detection: Detection, energy: float) -> bool:
         """Look for hum that has begun, and take it out; an impulse and a knock have low frequencies, too."""
         hum, residual = self._baseline.hum, detection.residual
-        if not hum.find(residual, energy, self._gate.noise_energy):
+        whole = energy + self._baseline.delay_energy
+        if not hum.find(residual, whole, self._gate.noise_energy):
             return False
         if self._is_loud(residual, self._baseline.residual_energy()):
             hum.put_back(residual)

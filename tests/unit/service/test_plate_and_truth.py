@@ -85,6 +85,7 @@ def test_noise_of_channels() -> None:
         t_ns += 8_000_000
     noise = pipeline.noise_channels()
     assert noise[2] == pytest.approx(2 * noise[0], rel=0.3)
-    counts = np.tile(np.rint(3000 * np.sin(1.9 * np.arange(RIG.samples))).astype(np.int16), (RIG.channels, 1))
+    chirp = np.arange(RIG.samples) * (1.3 + 0.002 * np.arange(RIG.samples))
+    counts = np.tile(np.rint(3000 * np.sin(chirp)).astype(np.int16), (RIG.channels, 1))
     pipeline.process(Frame(counts, 120, t_ns, t_ns))
     assert pipeline.noise_channels() == noise
