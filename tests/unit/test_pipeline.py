@@ -17,7 +17,7 @@ from msgspec import structs
 
 from tests.conftest import Scene
 from touchd.config.schema import Settings
-from touchd.detection.impulses import Impulses
+from touchd.detection.interference import Interference
 from touchd.errors import ModelMismatch
 from touchd.evaluation.dataset import make_dataset
 from touchd.event import Event, KeyEvent, TouchEvent
@@ -114,7 +114,7 @@ def baseline_of(pipeline: Pipeline) -> np.ndarray:
 def test_slow_followers(rate_hz: int, scene: Scene, atlas_model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     """What follows the noise slowly takes one untouched frame in about 128 ms at any rate."""
     taken: Counter[str] = Counter()
-    for owner, name in ((NoiseModel, "update"), (Impulses, "update")):
+    for owner, name in ((NoiseModel, "update"), (Interference, "update")):
         monkeypatch.setattr(owner, name, lambda *_, of=owner.__name__: taken.update([of]))
     frames, learned, seconds = scene("idle").frames, 60, max(1.5, 100 / rate_hz)
     pipeline = Pipeline(atlas_model.description.acquisition, atlas_model, Settings())
@@ -123,7 +123,7 @@ def test_slow_followers(rate_hz: int, scene: Scene, atlas_model: Model, monkeypa
             taken.clear()
         t_ns = n * 1_000_000_000 // rate_hz
         pipeline.process(Frame(frames[n % len(frames)], n, t_ns, t_ns))
-    assert set(taken) == {"NoiseModel", "Impulses"}
+    assert set(taken) == {"NoiseModel", "Interference"}
     for count in taken.values():
         assert seconds / (0.128 + 1 / rate_hz) - 1 <= count <= seconds / 0.1 + 1
 
