@@ -86,7 +86,7 @@ class Pipeline:
         detection = self.detector.detect(frame)  # is it a measurement, and is the plate touched?
         tracker, found = self._tracker, None
         if detection.outcome is _TOUCHED:
-            # The fingers followed explain most frames: only in the others tones and impulses are looked for.
+            # The fingers followed explain most frames: only in the others interference is looked for.
             found = self._localizer.follow(detection) if tracker.alive and not self.screen_off else None
             if found is None:
                 detection = self.detector.clean(detection)
@@ -102,7 +102,8 @@ class Pipeline:
                 found = SCREEN_OFF
             elif found is None:
                 found = self._localizer.localize(detection, alive=tracker.alive)
-                self._rang_ns = frame.t_ns if found is RINGS else self._rang_ns
+                if found is RINGS:
+                    self._rang_ns = frame.t_ns
             touches = found.touches
             if outcome is _TOUCHED and self._rings(frame.t_ns, len(touches)):
                 contacts = tracker.hold(frame.t_ns)

@@ -42,8 +42,8 @@ class Detection(Struct, gc=False, frozen=True):
     """Tones that were taken out of the residual. Another object whenever one changes."""
     hits: tuple[int, ...] = ()
     """Starts of the runs of samples that an impulse has hit; the residual is zero there."""
-    sounds: bool = False
-    """Whether the plate sounds by itself, as after a knock: louder than noise outside the chirp's band."""
+    rings: bool = False
+    """Whether the plate rings from a knock: outside the chirp's band it is louder than fingers and noise are."""
 
     @property
     def noise_energy(self) -> float:

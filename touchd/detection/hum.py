@@ -63,7 +63,7 @@ class Hum:
         return self.known
 
     def of(self, frames: NDArray[Any]) -> NDArray[Any] | float:
-        """Return the hum in frames or residuals, (..., channels, samples); 0 if there is none."""
+        """Return the hum in frames or residuals, (..., channels, samples), or 0 without hum."""
         return frames @ self._columns @ self._rows if self.known else 0.0
 
     @property

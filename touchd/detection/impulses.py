@@ -68,8 +68,7 @@ class Impulses:
         self._level = 0.0
         self._frames = 0
         self.in_vain = 0
-        """Frames in a row whose noise outside the band no few samples explain: the plate sounds by itself, as after a
-        knock."""
+        """Frames in a row with noise outside the band that lasts longer than an impulse, as after a knock."""
 
     def learn(self, frames: Signal) -> NDArray[np.bool_]:
         """Estimate the noise outside the band from frames of the untouched plate, (n, channels, samples).

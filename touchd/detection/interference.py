@@ -1,4 +1,4 @@
-"""What is no finger in a touched frame: tones, impulses, hum, and the plate's own sound after a knock."""
+"""What is no finger in a touched frame: tones, impulses, hum, and a plate that rings from a knock."""
 
 from __future__ import annotations
 
@@ -63,8 +63,7 @@ class Interference:
     def clean(self, detection: Detection, *, listens: bool) -> Detection:
         """Take out of a touched frame's residual what is found in it; return the same detection if nothing is.
 
-        What is left may be an untouched frame, or a plate that sounds by itself. `listens` says whether to look for
-        tones.
+        What is left may be an untouched frame, or a plate that rings. `listens` says whether to look for tones.
         """
         baseline, gate, residual = self._baseline, self._gate, detection.residual
         energy, touched, changed = detection.energy, True, False
@@ -78,18 +77,19 @@ class Interference:
         if hits or hums:  # without them the plate may be untouched
             energy, touched = self._again()
             changed = hums and not touched and gate.update(energy)  # noise is not learned from a frame with an impulse
-        sounds = clips
-        if rings := touched and not (hits or clips) and self._rings(detection, energy):  # with low frequencies longest
+        rings = clips
+        if knocked := touched and not (hits or clips) and self._rings(detection, energy):
+            # Low frequencies ring longest.
             self._below.remove(residual)
             energy, touched = self._again()
-            rings_in_band = detection.t_ns - self._knocked_ns < IN_BAND_NS
-            sounds = touched and (rings_in_band or self._is_loud(residual, energy) or baseline.clips(self._top))
-        if not (found or hits or hums or rings or clips):
+            in_band = 0 <= detection.t_ns - self._knocked_ns < IN_BAND_NS
+            rings = touched and (in_band or self._is_loud(residual, energy) or baseline.clips(self._top))
+        if not (found or hits or hums or knocked or clips):
             return detection
         return replace(
             detection, outcome=Outcome.TOUCHED if touched else Outcome.UNTOUCHED, energy=energy, noise_changed=changed,
             noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=self.tones.known_hz, hits=hits,
-            sounds=sounds,
+            rings=rings,
         )  # fmt: skip
 
     def _rings(self, detection: Detection, energy: float) -> bool:

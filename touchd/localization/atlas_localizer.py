@@ -132,7 +132,7 @@ class AtlasLocalizer:
             self._begin(detection)
             if self._rests(detection):
                 return Localization(Outcome.STILL, self._touches)
-            if detection.sounds and not (alive and self._follower.has_lifted(self._plate.bins(detection.residual))):
+            if detection.rings and not (alive and self._follower.has_lifted(self._plate.bins(detection.residual))):
                 return RINGS
         return self._localization(detection, begun, alive=alive, complete=complete)
 
@@ -154,7 +154,7 @@ class AtlasLocalizer:
         """Use the frame's live channels, and no bin beside its tones; take its time."""
         if self._plate.listen(detection):
             self._still.reset()
-        self._search.update(detection.t_ns, rings=detection.sounds)
+        self._search.update(detection.t_ns, rings=detection.rings)
 
     def _localization(
         self, detection: Detection, begun: Fitted | None, *, alive: bool = True, complete: bool = False
@@ -250,7 +250,7 @@ class AtlasLocalizer:
         by_palms = excess > CRITERIA.fair and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
         unlikely = by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm
         if unlikely or (not tracked and self._landing.is_implausible(bins, fit, signal, excess)):
-            self._classifier.palm.miss(fit, excess, signal, t_ns, sounds=detection.sounds)
+            self._classifier.palm.miss(fit, excess, signal, t_ns, rings=detection.rings)
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), inferred
 

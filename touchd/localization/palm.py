@@ -100,12 +100,12 @@ class Palm:
         """Take a frame that shows a contact of the palm's which is not water: it lies there."""
         self._until_ns = t_ns + GONE_NS
 
-    def miss(self, fit: Fit, excess: float, signal: float, t_ns: int, *, sounds: bool = False) -> None:
+    def miss(self, fit: Fit, excess: float, signal: float, t_ns: int, *, rings: bool = False) -> None:
         """Take a frame of which nothing is placed: a palm that is known lies there until little is left unexplained.
 
-        What is left of a plate that sounds by itself says nothing of hands.
+        A plate that `rings` from a knock says nothing of hands.
         """
-        if sounds:
+        if rings:
             return
         self._look(fit, excess, t_ns)
         self._missed = True

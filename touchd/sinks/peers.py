@@ -34,7 +34,7 @@ MESSAGES_HZ = 16.0
 STALLED_S = 10.0
 """A connection whose peer has read nothing for this time is cut off: what waits for it is stale, and takes memory."""
 WITHDRAWN_S = 10.0
-"""A connection whose client's key is gone for this time is cut off: a folder may be written anew."""
+"""A connection is cut off once its client's key has been missing for this time: a folder may be rewritten."""
 _LOOK_S = 1.0
 _SHARE = 0.25  # of the time since the last poll: a flood of connections must not delay a frame
 _MOST_EVENTS = 64  # read at once, after a pause

@@ -67,7 +67,7 @@ def test_a_finger_stays() -> None:
 
 @pytest.mark.parametrize(("level", "known"), [(0.0, False), (0.3, False), (2.0, True), (3000.0, True)])
 def test_it_is_learned_where_it_matters(level: float, known: bool) -> None:
-    """White noise is none, nor is a tenth of the noise's energy at low frequencies."""
+    """White noise does not count as hum, nor does a tenth of its energy more at low frequencies."""
     residuals = noise(3, 32) + hum(4, 32, level)
     found = Hum(RIG, np.float64)
     assert found.learn(residuals) is known
