@@ -28,7 +28,7 @@ import zmq
 from touchd.errors import BusError, BusTimeout
 from touchd.event import SILENCE_NS, TOPICS, Event, KeyEvent, TouchEvent
 from touchd.sinks import curve, endpoint
-from touchd.sinks.knock import Knock
+from touchd.sinks.reconnect import Reconnect
 from touchd.sinks.stream import Stream, decode_message
 
 DEFAULT_ADDRESS = endpoint.LOOPBACK
@@ -137,7 +137,7 @@ class Subscriber(Generic[E]):
         self._keyed = pair is not None
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
-        self._knock: Knock | None = None
+        self._reconnect: Reconnect | None = None
         self._waits_s = math.inf  # in a call that receives
         self._process = os.getpid()
         self._lock = threading.RLock()  # a signal's handler may close while its thread receives
@@ -153,7 +153,7 @@ class Subscriber(Generic[E]):
                 self._socket.setsockopt(zmq.CURVE_SERVERKEY, server)
                 self._socket.setsockopt(zmq.CURVE_PUBLICKEY, pair.public)
                 self._socket.setsockopt(zmq.CURVE_SECRETKEY, pair.secret)
-                self._knock = Knock(self._socket, addresses)
+                self._reconnect = Reconnect(self._socket, addresses)
             # Touches are repeated while a key is pressed: who asks for keys alone needs their silence, too.
             lifts = "key" in self.topics and self._max_age_s < math.inf
             self._unasked = "touch" if lifts and not {"touch", ""} & set(self.topics) else None
@@ -214,8 +214,8 @@ class Subscriber(Generic[E]):
                     self._end()
 
     def _end(self) -> None:
-        if self._knock is not None:
-            self._knock.close()
+        if self._reconnect is not None:
+            self._reconnect.close()
         self._socket.close()
         self._context.term()
 
@@ -291,8 +291,8 @@ class Subscriber(Generic[E]):
         try:
             parts = [self._socket.recv()]
         except zmq.Again:
-            if self._knock is not None:
-                self._knock.look()
+            if self._reconnect is not None:
+                self._reconnect.look()
             return None
         while self._socket.get(_RCVMORE):
             parts.append(self._socket.recv())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -15,7 +15,7 @@ from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Event, KeyEvent
-from touchd.sinks import curve, knock, peers, zeromq
+from touchd.sinks import curve, peers, reconnect, zeromq
 from touchd.sinks.zeromq import ZeromqSink
 
 Bus = Callable[..., ZeromqSink]
@@ -130,16 +130,20 @@ def test_a_key_that_is_taken_away(bus: Bus, keys: Path, monkeypatch: pytest.Monk
         assert gets_nothing(former)
 
 
+def wait_for_refusal(sink: ZeromqSink, events: Subscriber[Event], logs: Sequence[Mapping[str, object]]) -> None:
+    give_up_s = time.monotonic() + 60
+    while not any(line["event"] == "subscriber refused" for line in logs):
+        assert time.monotonic() < give_up_s
+        sink.poll()
+        gets_nothing(events)
+
+
 def test_a_key_that_comes_late(bus: Bus, keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that was refused, since its key was not copied yet, is served by the same subscription once it is."""
-    monkeypatch.setattr(knock, "AGAIN_S", 0.1)
+    monkeypatch.setattr(reconnect, "AGAIN_S", 0.1)
     sink = bus(curve_clients=keys.parent / "clients")
     with capture_logs() as logs, subscriber(sink, keys, "stranger") as early:
-        give_up_s = time.monotonic() + 60
-        while not any(line["event"] == "subscriber refused" for line in logs):
-            assert time.monotonic() < give_up_s
-            sink.poll()
-            gets_nothing(early)
+        wait_for_refusal(sink, early, logs)
         (keys.parent / "clients/stranger.key").write_bytes((keys / "stranger.key").read_bytes())
         assert is_served(sink, early)
 
@@ -200,11 +204,7 @@ def test_who_is_refused_is_logged(bus: Bus, keys: Path) -> None:
     """The log names the address of a client whose key is unknown, once a second at most."""
     sink = bus(curve_clients=keys.parent / "clients")
     with capture_logs() as logs, subscriber(sink, keys, "stranger") as stranger:
-        give_up_s = time.monotonic() + 60
-        while not any(line["event"] == "subscriber refused" for line in logs):
-            assert time.monotonic() < give_up_s
-            sink.poll()
-            gets_nothing(stranger)
+        wait_for_refusal(sink, stranger, logs)
     assert [line["peer"].partition(":")[0] for line in logs if line["event"] == "subscriber refused"] == ["127.0.0.1"]
 
 

@@ -1,4 +1,4 @@
-"""A client whose key the daemon does not know knocks again: it may know the key by then.
+"""A client whose key the daemon does not know connects again: it may know the key by then.
 
 libzmq gives up for good when it is refused (ZAP status 400, RFC 27): a display that was quicker than whoever copied
 its key would stay deaf until somebody starts it again.
@@ -17,7 +17,7 @@ AGAIN_S = 5.0
 _REFUSED, _NOBLOCK = int(zmq.EVENT_HANDSHAKE_FAILED_AUTH), int(zmq.NOBLOCK)
 
 
-class Knock:
+class Reconnect:
     """Connects a client's socket again after each refusal; the socket is not connected yet."""
 
     def __init__(
@@ -32,7 +32,7 @@ class Knock:
         self._monitor.connect(endpoint)
 
     def look(self) -> None:
-        """Knock if it is time; call it now and then while nothing comes."""
+        """Connect again if it is time; call it now and then while nothing comes."""
         with suppress(zmq.Again):
             while True:
                 self._monitor.recv_multipart(_NOBLOCK)
@@ -46,7 +46,7 @@ class Knock:
             self._socket.connect(address)
 
     def close(self) -> None:
-        """Knock no more."""
+        """Connect no more."""
         with suppress(zmq.ZMQError):
             self._socket.disable_monitor()
         self._monitor.close()
