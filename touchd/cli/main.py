@@ -215,8 +215,16 @@ def _explain(error: Exception, debug: bool) -> int:
     if isinstance(error, TouchdError):
         say(f"touchd: {error}", err=True)
         return error.exit_code
-    say(f"touchd: internal error: {error!r} -> run again with --debug and report what it prints", err=True)
+    fix = "run again with --debug and report what it prints"
+    say(f"touchd: internal error: {error!r}{_place(error)} -> {fix}", err=True)
     return 1
+
+
+def _place(error: Exception) -> str:
+    """Return which line of touchd an error comes from: an error that does not come again leaves no more than that."""
+    package = Path(__file__).parents[1]
+    own = [each for each in traceback.extract_tb(error.__traceback__) if package in Path(each.filename).parents]
+    return f" in {Path(own[-1].filename).relative_to(package.parent)}, line {own[-1].lineno}" if own else ""
 
 
 def _unprintable(error: OSError) -> OutputError:

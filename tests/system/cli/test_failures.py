@@ -400,7 +400,7 @@ def test_statuses() -> None:
 
 @pytest.mark.parametrize("debug", [False, True])
 def test_internal_error(debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """An error that nobody foresaw is called an internal error."""
+    """An error that nobody foresaw is called an internal error, and the line says where it comes from."""
 
     def fail(**_options: Any) -> None:
         raise ZeroDivisionError("by accident")
@@ -410,7 +410,8 @@ def test_internal_error(debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: py
     monkeypatch.setattr(cli.touchd, "invoke", lambda _context: fail())
     assert main(["--debug"] if debug else []) == 1
     lines = capsys.readouterr().err.splitlines()
-    assert lines[-1].startswith("touchd: internal error: ZeroDivisionError('by accident') -> ")
+    expected = r"touchd: internal error: ZeroDivisionError\('by accident'\) in touchd/cli/main\.py, line \d+ -> "
+    assert re.match(expected, lines[-1])
     assert ("Traceback (most recent call last):" in lines) == debug
     assert debug or len(lines) == 1
 
