@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition, Plate
+from touchd.twin.in_time import few_of
 from touchd.twin.physics import chebyshev
 from touchd.twin.physics.contact import size_of
 from touchd.twin.physics.finger import Contact, patches
@@ -136,21 +137,24 @@ class Instrument:
         scale = self.scale(temperature_c)
         late = _late(late_s, len(scale))
         split = [tuple(patch for contact in touch for patch in patches(contact)) for touch in touches]
-        alike: dict[tuple[int, ...], dict[tuple[Contact, ...], list[int]]] = {}
+        alike: dict[tuple[tuple[str, int], ...], list[int]] = {}
         for i, touch in enumerate(split):
             if touch:
-                alike.setdefault(tuple(map(size_of, touch)), {}).setdefault(touch, []).append(i)
+                alike.setdefault(tuple((contact.kind, size_of(contact)) for contact in touch), []).append(i)
         result = np.zeros((len(split), self.acquisition.channels, self.acquisition.samples))
-        for sizes, equal in alike.items():
-            rows = list(equal.values())
+        for kinds, at in alike.items():
+            some, factor = [split[i] for i in at], scale[at]
+            few = few_of(some, factor)
             # Limit the group, so that the products of modes stay in cache and memory.
-            groups = min(len(rows), math.ceil(len(rows) * (sum(sizes) + 5) ** 2 / 2000))
-            for some in np.array_split(np.arange(len(rows)), groups):
-                part = [i for k in some for i in rows[k]]
-                spectrum = self._changed([split[i] for i in part], scale[part])
-                if self._tilt is not None:
-                    spectrum *= self._tilt
-                result[part] = self._to_time(spectrum, scale[part], late[part])
+            groups = math.ceil(len(few.rows) * (sum(size for _, size in kinds) + 5) ** 2 / 2000)
+            computed = [
+                self._changed([some[k] for k in rows], factor[rows])
+                for rows in np.array_split(few.rows, min(groups, len(few.rows)))
+            ]
+            spectrum = few.spread(np.concatenate(computed))
+            if self._tilt is not None:
+                spectrum *= self._tilt
+            result[at] = self._to_time(spectrum, factor, late[at])
         return result / self.peak
 
     def _changed(self, touches: Sequence[Sequence[Contact]], scale: Floats) -> Complex:
