@@ -58,15 +58,17 @@ def shipped(*, atlas: bool) -> Model:
     return Model(default_model_path(), atlas=atlas)
 
 
-def play(stage: Stage, instrument: Instrument, seed: int = 1, settings: Settings | None = None) -> Replayed:
-    """A stage through the whole pipeline, with the shipped model, block by block."""
+def play(
+    stage: Stage, instrument: Instrument, seed: int = 1, settings: Settings | None = None, model: Model | None = None
+) -> Replayed:
+    """A stage through the whole pipeline, by default with the shipped model, block by block."""
     settings = settings or Settings()
     counts = (frame for block in stream(stage, instrument, seed) for frame in block)
     frames = (
         Frame(frame, sequence, round(time_s * 1e9), 0)
         for frame, sequence, time_s in zip(counts, stage.sequence.tolist(), stage.time_s.tolist(), strict=True)
     )
-    return run_through(Given(instrument.acquisition, frames), settings, shipped(atlas=settings.model.atlas))
+    return run_through(Given(instrument.acquisition, frames), settings, model or shipped(atlas=settings.model.atlas))
 
 
 def score(stage: Stage, outcome: Replayed) -> StreamScores:

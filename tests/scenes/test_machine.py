@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from tests.scenes.stages import empty_stage, play, score
+from tests.unit.calibration.plates import exact_fit, model_of
 from touchd.evaluation.replay_scores import StreamScores
+from touchd.frame import ACQUISITIONS
+from touchd.localization.model import Model
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.knock import Knock
@@ -87,3 +90,27 @@ def test_nails_that_tap_beside_a_resting_finger(seed: int, instrument: Instrumen
     assert found.missed <= 1
     assert found.split <= 1
     assert found.ghosts == 0
+
+
+@pytest.fixture(scope="module", params=["audio-96", "audio-192"])
+def interface(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Instrument, Model]:
+    """The plate at an audio interface, with a model of the twin's own parameters."""
+    instrument = Instrument(DEFAULT_PLATE, acquisition=ACQUISITIONS[request.param])
+    return instrument, Model(model_of(exact_fit(instrument), tmp_path_factory.mktemp("interface") / "plate.onnx"))
+
+
+def test_an_audio_interface_tells_knocks(interface: tuple[Instrument, Model]) -> None:
+    """In steady state, where a frame is the mean of chirps that follow each other, every second knock once lifted."""
+    instrument, model = interface
+    stage, rng = empty_stage(6.0, seed=2612000), np.random.default_rng(2612001)
+    stage.lay("fingertip", 0.9, 5.5, still(70.0, 120.0), force_n=0.5)
+    for number, at_s in enumerate(np.arange(1.1, 5.3, 0.3) + rng.uniform(0, 0.1, 14)):
+        level_db, contact_s = ((-10.0, 6e-5), (0.0, 6e-5), (10.0, 6e-5), (-20.0, 3e-4))[number % 4]
+        x_mm, y_mm = rng.uniform(12, 188, 2).tolist()
+        stage.knocks.append(Knock(float(at_s), x_mm, y_mm, level_db, contact_s))
+    found = score(stage, play(stage, instrument, model=model))
+    assert (found.missed, found.ghosts, found.split) == (0, 0, 0)
+    stage = stage_scene("machine", DEFAULT_PLATE, seed=2612002)
+    found = score(stage, play(stage, instrument, model=model))
+    assert found.touches >= 5
+    assert (found.missed, found.ghosts, found.split) == (0, 0, 0)

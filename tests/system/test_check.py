@@ -9,34 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
+from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit, model_of
 from touchd.calibration.check import check_model
-from touchd.calibration.physical_atlas import make_physical_atlas
-from touchd.calibration.plate_fit import PlateFit
-from touchd.calibration.start_scan import start_scan
 from touchd.cli.main import main
 from touchd.errors import ModelMismatch, RecordingValues
-from touchd.localization.atlas import atlas_path, save_atlas
-from touchd.localization.model import Description, default_model_path
-from touchd.localization.model_file import put_model
+from touchd.localization.model import default_model_path
 from touchd.recording.format import read, write
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.scenes.timeline import Stage, still
 from touchd.twin.simulate import simulate_scene, simulate_stage
-
-
-def model_of(fit: PlateFit, path: Path) -> Path:
-    """A model made from a fit, at `path`."""
-    atlas = make_physical_atlas(fit, 1e-3 * float(np.sqrt(np.square(fit.measured).mean())))
-    d = atlas.description
-    description = Description(
-        name="calibrated", head="regression", domain="frequency", input="residual", acquisition=d.acquisition,
-        plate=d.plate, taper=d.taper,
-    )  # fmt: skip
-    save_atlas(atlas, atlas_path(path))
-    put_model(start_scan(atlas, description).SerializeToString(), path)
-    return path
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 
 from touchd.calibration.reduced_plate import Complex, Floats
 from touchd.frame import Acquisition
-from touchd.twin.instrument import anti_alias
+from touchd.twin.physics.filters import anti_alias
 from touchd.twin.record import Record
 
 

@@ -3,6 +3,9 @@
 An impulse has all frequencies, the chirp only its band. So energy far outside the band, beyond that of the noise, is an
 impulse, whether a finger is on the plate or not. The samples that explain it are blanked in all channels; who places
 fingers solves for them as unknowns (`touchd.localization.nuisance`).
+
+In steady state a contact has no energy between the chirp's lines and below its band, and what is there comes of a
+knock. Too few frequencies are left to tell where in the frame an impulse is.
 """
 
 from __future__ import annotations
@@ -33,7 +36,10 @@ _FIRST_BIN, _BESIDE_HUM = 3, 1.6 * FAR_BELOW
 """Offsets lie below, and, as a share of the band's lower edge, hum with what is left beside it."""
 _BELOW, _ABOVE = 0.5, 0.2
 """Distance of the bins used from the chirp's band, in widths of it: where a finger leaks less than noise."""
-_FEWEST_BINS = 8
+_BELOW_LINES, _LINES_LEAK = 0.6, 0.005
+"""In steady state bins up to this share of the band's lower edge are used, where fingers that land and move have up to
+0.002 of the samples' energy; up to 0.8 a resonance may have 0.04 (twin)."""
+_FEWEST_BINS, _FEWEST_LINES = 8, 5
 _WEAK = 0.02
 """Combinations of samples that show less than this outside the band, over the strongest, are not told from noise."""
 MEMORY_FRAMES = 64
@@ -60,7 +66,9 @@ class Impulses:
         bins = _bins_outside(acquisition, hums=hums)
         phase = (np.outer(np.arange(n), bins) % n) * (2 * np.pi / n)
         matrix = acquisition.window(_TAPER)[:, None] * np.concatenate([np.cos(phase), -np.sin(phase)], axis=1)
-        self._works = len(bins) >= _FEWEST_BINS and n > 2 * WIDTH
+        self._tells_when = not acquisition.is_whole_period
+        self._works = len(bins) >= (_FEWEST_BINS if self._tells_when else _FEWEST_LINES) and n > 2 * WIDTH
+        self._leak = LEAK if self._tells_when else _LINES_LEAK * n / 2
         self._matrix: Signal = matrix.astype(dtype)
         self._outside: Signal = np.zeros((acquisition.channels, 2 * len(bins)), dtype)
         self._flat, self._energy = self._outside.reshape(-1), np.zeros((), dtype)
@@ -108,7 +116,7 @@ class Impulses:
         if loudness <= limit:
             self.in_vain = 0
             return ()
-        if self.in_vain >= TONE_FRAMES and self.in_vain % SELDOM:
+        if not self._tells_when or (self.in_vain >= TONE_FRAMES and self.in_vain % SELDOM):
             self.in_vain += 1
             return ()
         if self._blocks is None:
@@ -133,7 +141,7 @@ class Impulses:
 
     def most(self, energy: float) -> float:
         """Return what noise and fingers have outside the band at most, in a residual of this energy."""
-        return LOUD * self._level + LEAK * energy if self._level else math.inf
+        return LOUD * self._level + self._leak * energy if self._level else math.inf
 
     def loudness(self, residual: Signal) -> float:
         """Return the energy of a residual outside the band."""
@@ -151,10 +159,13 @@ class Impulses:
 
 
 def _bins_outside(acquisition: Acquisition, *, hums: bool) -> NDArray[np.int64]:
-    """Return the bins far from the chirp's band, on both sides."""
+    """Return the bins far from the chirp's band, on both sides; in steady state those below it."""
     f_hz = np.arange(acquisition.samples // 2) * acquisition.sample_rate_hz / acquisition.samples
     low, high = acquisition.chirp.band_hz
-    outside = (f_hz < low - _BELOW * (high - low)) | (f_hz > high + _ABOVE * (high - low))
+    if acquisition.is_whole_period:
+        outside = f_hz < _BELOW_LINES * low
+    else:
+        outside = (f_hz < low - _BELOW * (high - low)) | (f_hz > high + _ABOVE * (high - low))
     outside[:_FIRST_BIN] = False
     if hums:
         outside[f_hz < _BESIDE_HUM * low] = False

@@ -15,6 +15,9 @@ from touchd.detection.tones import Tones
 from touchd.frame import Acquisition
 from touchd.outcome import Outcome
 
+USUAL_HZ = 50e3
+"""Lower edge of the band that times are stated for: what rings below a lower one takes longer to fade, in proportion.
+"""
 IN_BAND_NS = 16_000_000
 """A knock may ring in the band for so long: there glass fades by 60 dB in it."""
 CLIPS_NS = 80_000_000
@@ -42,6 +45,8 @@ class Interference:
         self._impulses = [Impulses(acquisition, dtype, hums=hums) for hums in (False, True)]
         self._baseline, self._gate = baseline, gate
         self._below = Hum(acquisition, dtype, BELOW)
+        slower = USUAL_HZ / acquisition.chirp.band_hz[0]
+        self._in_band_ns, self._fades_ns = round(IN_BAND_NS * slower), round(FADES_NS * slower)
         self._loudness = self._loudest = 0.0
         self._heard_ns = self._knocked_ns = -CLIPS_NS
         self._top = 2 ** (acquisition.bits - 1) - 1
@@ -82,7 +87,7 @@ class Interference:
             # Low frequencies ring longest.
             self._below.remove(residual)
             energy, touched = self._again()
-            in_band = 0 <= detection.t_ns - self._knocked_ns < IN_BAND_NS
+            in_band = 0 <= detection.t_ns - self._knocked_ns < self._in_band_ns
             rings = touched and (in_band or self._is_loud(residual, energy) or baseline.clips(self._top))
         if not (found or hits or hums or knocked or clips):
             return detection
@@ -98,7 +103,7 @@ class Interference:
         That fades within milliseconds, and noise does not.
         """
         t_ns = detection.t_ns
-        before = self._loudness if 0 <= t_ns - self._heard_ns < FADES_NS else 0.0
+        before = self._loudness if 0 <= t_ns - self._heard_ns < self._fades_ns else 0.0
         self._heard_ns = t_ns
         self._loudness = loudness = self.impulses.loudness(detection.residual) if self.impulses.in_vain else 0.0
         if loudness <= self.impulses.most(energy):
@@ -106,7 +111,7 @@ class Interference:
         if loudness > FADED * before:
             self._knocked_ns, self._loudest = t_ns, loudness
         self._loudest = max(self._loudest, loudness)
-        return FADED * loudness < self._loudest or 0 <= t_ns - self._knocked_ns < FADES_NS
+        return FADED * loudness < self._loudest or 0 <= t_ns - self._knocked_ns < self._fades_ns
 
     def _is_loud(self, residual: Signal, energy: float) -> bool:
         return self.impulses.loudness(residual) > self.impulses.most(energy)

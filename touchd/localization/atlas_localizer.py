@@ -288,7 +288,7 @@ class AtlasLocalizer:
 
     def _rests(self, detection: Detection) -> bool:
         """Return whether the finger of the last fit is still where it was, but for the noise."""
-        if not self._touches or not self._still.holds(detection, self._plate):
+        if not self._touches or self._search.pending or not self._still.holds(detection, self._plate):
             return False
         self._prediction.rest(detection.t_ns)
         return True

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition
+from touchd.twin.physics.filters import high_pass
 
 Floats = NDArray[np.float64]
 
@@ -127,7 +128,8 @@ class Digitiser:
             on = (time_s >= tone.start_s) & (time_s < tone.stop_s)
             if tone.finger:
                 on &= False if touched is None else touched
-            amplitude = np.sqrt(2) * self._rms * 10 ** (tone.level_db / 20)
+            passed = float(abs(high_pass(2 * np.pi * tone.frequency_hz, a)))
+            amplitude = passed * np.sqrt(2) * self._rms * 10 ** (tone.level_db / 20)
             # Remove whole turns first: at 1e8 rad a sine has lost half of its digits.
             turn = np.modf(tone.frequency_hz * moment)[0]
             signal += (on[:, None] * amplitude * np.sin(2 * np.pi * turn + phase))[:, None, :]

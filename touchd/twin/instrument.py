@@ -21,6 +21,7 @@ from touchd.frame import Acquisition, Plate
 from touchd.twin.in_time import few_of
 from touchd.twin.physics import chebyshev
 from touchd.twin.physics.contact import size_of
+from touchd.twin.physics.filters import anti_alias
 from touchd.twin.physics.finger import Contact, patches
 from touchd.twin.physics.mounting import FREE, Mounting, mounted_modes
 from touchd.twin.physics.response import Response
@@ -277,12 +278,3 @@ def _tilt(tilts: Sequence[tuple[float, float]], acquisition: Acquisition, nu_rad
     deg, db = np.array(tilts).T
     rate = np.log(10) / 20 * db + 1j * np.deg2rad(deg)
     return np.asarray(np.exp(rate[:, None] * (nu_rad_s / (2 * np.pi) - middle) / half))
-
-
-def anti_alias(omega_rad_s: Complex, sample_rate_hz: float) -> Complex:
-    """Return the gain of the anti-alias filter: 1 up to 80 % of half the sample rate, -87 dB at half the rate.
-
-    It is an analytic function, so it is the same filter at complex frequencies.
-    """
-    f = omega_rad_s / (np.pi * sample_rate_hz)
-    return np.asarray(1 / (1 + np.exp((f - 0.92) / 0.008)))

@@ -64,7 +64,10 @@ def stream(
     digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed, noise)
     jitter.standard_normal(start)  # skip the jitter of earlier frames
     time_s, a = stage.time_s, instrument.acquisition
-    ringings, sample_s = [Ringing(instrument, knock) for knock in stage.knocks], np.arange(a.samples) / a.sample_rate_hz
+    ringings = [Ringing(instrument, knock) for knock in stage.knocks]
+    # In steady state a frame is the mean of all chirps up to the next one.
+    starts_s = np.arange(max(round(1 / (stage.rate_hz * (a.chirp.period_s or np.inf))), 1)) * (a.chirp.period_s or 0.0)
+    sample_s = (starts_s[:, None] + np.arange(a.samples) / a.sample_rate_hz).reshape(-1)
     end = len(time_s) if stop is None else stop
     for first in range(start, end, block):
         last = min(first + block, end)
@@ -76,7 +79,7 @@ def stream(
             signal += change_by(stage, instrument, first, touches, temperature_c, late_s)
         for ringing in ringings:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
-                frame += ringing.signal(begin_s + sample_s)
+                frame += ringing.signal(begin_s + sample_s).reshape(len(frame), len(starts_s), -1).mean(axis=1)
         yield digitiser.counts(signal, time_s[first:last], np.array([bool(touch) for touch in touches]))
 
 

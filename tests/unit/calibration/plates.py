@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from touchd.calibration.loads import Edges, Loss
-from touchd.calibration.physical_atlas import TIP, PhysicalField
+from touchd.calibration.physical_atlas import TIP, PhysicalField, make_physical_atlas
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.reduced_plate import ReducedPlate
+from touchd.calibration.start_scan import start_scan
 from touchd.evaluation.cramer_rao import twin_values
 from touchd.frame import Plate
-from touchd.localization.atlas import Atlas
+from touchd.localization.atlas import Atlas, atlas_path, save_atlas
+from touchd.localization.model import Description
+from touchd.localization.model_file import put_model
 from touchd.training.field.bins import TAPER
 from touchd.training.field.place import complex_nodes, real_nodes
 from touchd.twin.instrument import REFERENCE_C, Instrument
@@ -50,6 +54,19 @@ def exact_fit(instrument: Instrument, loss_factor: float = 5e-3) -> PlateFit:
     touch = PhysicalField(unit).at(np.array([[50.0, 40.0]]), TIP)
     exact = twin_values(instrument, [Contact(50.0, 40.0, TIP.area_mm2, TIP.tissue)], TAPER)
     return replace(unit, gains=unit.gains * (np.vdot(touch, exact) / np.vdot(touch, touch)).real)
+
+
+def model_of(fit: PlateFit, path: Path) -> Path:
+    """A model made from a fit, at `path`."""
+    atlas = make_physical_atlas(fit, 1e-3 * float(np.sqrt(np.square(fit.measured).mean())))
+    d = atlas.description
+    description = Description(
+        name="calibrated", head="regression", domain="frequency", input="residual", acquisition=d.acquisition,
+        plate=d.plate, taper=d.taper,
+    )  # fmt: skip
+    save_atlas(atlas, atlas_path(path))
+    put_model(start_scan(atlas, description).SerializeToString(), path)
+    return path
 
 
 def off_channels(atlas: Atlas) -> Atlas:

@@ -11,7 +11,7 @@ from tests.fields import RIG, Field, untouched
 from touchd.config.schema import Settings
 from touchd.detection.detector import Detector
 from touchd.detection.impulses import MOST, TONE_FRAMES, WIDTH, Impulses
-from touchd.frame import Frame
+from touchd.frame import ACQUISITIONS, Frame
 from touchd.outcome import Outcome
 
 SIGMA = 2.0
@@ -140,3 +140,24 @@ def test_untouched() -> None:
             detector.adapt(detection, False, False, False)
     assert detector.noise_counts() == pytest.approx(SIGMA, rel=0.05)
     assert np.abs(detection.baseline - 10 * untouched()).max() < SIGMA
+
+
+@pytest.mark.parametrize("name", ["audio-96", "audio-192"])
+def test_in_steady_state_a_knock_is_loud_and_nothing_is_blanked(name: str) -> None:
+    """A contact has lines alone, and a knock what lies below them: too little to say when it was."""
+    a, rng = ACQUISITIONS[name], np.random.default_rng(4)
+    noise = rng.standard_normal((40, *a.shape)).astype(np.float32)
+    impulses = Impulses(a)
+    assert not impulses.learn(noise).any()
+    seconds = np.arange(a.samples) / a.sample_rate_hz
+    lines = 300 * np.sin(2 * np.pi * (a.chirp.band_hz[0] + 4 / a.chirp.period_s) * seconds)  # type: ignore[operator] # in steady state
+    touched = (noise[0] + lines).astype(np.float32)
+    energy = float(np.square(touched).sum())
+    assert impulses.loudness(touched) < impulses.most(energy)
+    knocked = touched + (100 * np.exp(-300 * seconds) * np.sin(2 * np.pi * 5300 * seconds)).astype(np.float32)
+    before = knocked.copy()
+    energy = float(np.square(knocked).sum())
+    assert impulses.loudness(knocked) > impulses.most(energy)
+    assert impulses.blank(knocked, energy) == ()
+    assert impulses.in_vain == 1
+    assert np.array_equal(knocked, before)

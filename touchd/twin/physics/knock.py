@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.twin.instrument import REFERENCE_C, Instrument, anti_alias
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.filters import anti_alias, high_pass
 
 Floats = NDArray[np.float64]
 
@@ -51,6 +52,7 @@ class Ringing:
         turns = pole.real * knock.contact_s / np.pi
         force = np.cos(np.pi / 2 * turns) / np.where(np.abs(turns - 1) < 1e-9, 1e-9, 1 - turns**2)
         coupled = pole / (pole - 2j * np.pi * COUPLED_HZ) * anti_alias(pole.real.astype(complex), a.sample_rate_hz)
+        coupled = coupled * high_pass(pole, a)
         amplitude = heard * (force * coupled / np.where(pole == 0, np.inf, pole))[:, None]
         size = np.abs(amplitude).max(axis=1)
         kept = size > INAUDIBLE * size.max()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.twin.instrument import REFERENCE_C, Instrument, anti_alias
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.filters import anti_alias
 from touchd.twin.physics.knock import COUPLED_HZ, FACE_MM2, Knock, Ringing
 from touchd.twin.physics.response import Response
 
