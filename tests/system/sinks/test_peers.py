@@ -81,6 +81,7 @@ class Flood:
         self.peers = Peers(self.publisher, TOPICS, 2, self._clock)
         self.publisher.bind(address)
         self.connections = [greeted(address) for _ in range(number)]
+        wait_until(lambda: len(self.peers._arrivals.events) >= number)  # a thread reads them
 
     def _clock(self) -> float:
         self.now_s += 0.001
