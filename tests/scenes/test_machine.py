@@ -47,6 +47,22 @@ def test_mains_hum_hides_no_tap(finger: str, instrument: Instrument) -> None:
         assert np.median(np.hypot(*found.error_mm.T)) < 1.1 * np.median(np.hypot(*quiet.error_mm.T))
 
 
+@pytest.mark.parametrize("begins_s", [0.0, 3.0])
+def test_a_loudspeaker_hides_no_gloved_tap(begins_s: float, instrument: Instrument) -> None:
+    """From -50 dB beside the signal on it once hid all: tones up to 12 kHz, others in each third of a second."""
+    rng, tones = np.random.default_rng(2621000), []
+    for start_s in np.arange(begins_s, 12.0, 0.32).tolist():
+        for frequency_hz in np.exp(rng.uniform(np.log(150), np.log(12e3), 12)).tolist():
+            tones.append(Tone(frequency_hz, rng.uniform(-55, -35), start_s, start_s + 0.32))
+    stage = empty_stage(12.0, seed=2621001)
+    stage.electronics = Electronics(peak=0.3, tones=tuple(tones))
+    taps(stage, "glove", 6.0, 11.5)
+    found = score(stage, play(stage, instrument))
+    assert found.touches > 8
+    assert found.missed <= 1
+    assert found.ghosts == 0
+
+
 def test_hum_that_begins_and_ends_under_fingers(instrument: Instrument) -> None:
     stage = empty_stage(7.0, seed=2503001)
     stage.electronics = Electronics(peak=0.4, tones=(Tone(50.0, -6.0, 2.0, 4.0),))

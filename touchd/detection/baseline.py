@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from touchd.config.schema import BaselineSettings
-from touchd.detection.hum import Hum
+from touchd.detection.hum import BELOW, Hum
 from touchd.frame import Acquisition, Counts
 
 Signal = NDArray[np.floating]
@@ -53,6 +53,11 @@ class Baseline:
         shape = acquisition.shape
         self.hum = Hum(acquisition, dtype)
         """What is taken out of every residual once there is any."""
+        self.sound = Hum(acquisition, dtype, BELOW)
+        """The same of sound that goes on, as of a loudspeaker, up to higher frequencies."""
+        self.may_sound = acquisition.chirp.period_s is None
+        """Whether there may be any: in steady state a filter takes it out of what is captured, `touchd.audio.capture`.
+        """
         self.mean: Signal = np.zeros(shape, dtype)
         self.signal: Signal = np.zeros(shape, dtype)
         """The last frame, as floats; valid until the next frame."""
@@ -114,7 +119,9 @@ class Baseline:
         residuals = frames - self.mean
         if self.hum.learn(residuals):
             frames = self.mean + residuals
-        energies = _energies(residuals)
+        energies, self.sound.known = _energies(residuals), False
+        if not _steady(residuals, energies) and self.learn_sound(residuals):
+            frames, energies = self.mean + residuals, _energies(residuals)
         if not _steady(residuals, energies) and self._tried < self._patience:
             half = len(frames) // 2
             self._window[: len(frames) - half] = self._window[half:].copy()
@@ -139,6 +146,21 @@ class Baseline:
         self._delay, self.delay_energy = self._delay if found is None else found, 0.0
         return _energies(residuals, self._delay)
 
+    def learn_sound(self, residuals: Signal) -> bool:
+        """Look for sound in untouched frames, (n, channels, samples); remove it, in place, and return whether any is.
+
+        Tones are none: they are looked for before, but where sound is so unsteady that nothing else can be told.
+        """
+        return self.may_sound and (self.sound.known or self.sound.learn(residuals))
+
+    def take_out_sound(self) -> None:
+        """Take out sound from the next frame on: it has begun since the plate was learned."""
+        self.sound.known = True
+        if self._delay is not None:
+            delay = self._delay.reshape(self.mean.shape).copy()
+            self.sound.remove(delay)
+            self._delay = (delay / np.linalg.norm(delay)).reshape(-1)
+
     def learned(self) -> Signal:
         """Return the residuals of the frames learned from, shape (up to learn_frames, channels, samples)."""
         return np.asarray(self.window - self.mean)
@@ -151,7 +173,9 @@ class Baseline:
         # One conversion, then floats alone: to mix them in one call takes twice as long, and memory each time.
         self.signal[...] = counts
         _subtract(self.signal, self.mean, self.residual)
-        if self.hum.known:
+        if self.sound.known:
+            self.sound.remove(self.residual)
+        elif self.hum.known:
             self.hum.remove(self.residual)
         for channel in self._silenced:
             self.residual[channel] = 0

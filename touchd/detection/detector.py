@@ -172,7 +172,7 @@ class Detector:
             if not self.sequence % KEEP_EVERY:
                 self._stuck.keep(detection.signal)
             if not self.sequence % self._pace.slow_every:
-                self._interference.update(detection.residual)
+                self._interference.update(detection.t_ns, detection.residual)
             if not alive:
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
@@ -249,6 +249,8 @@ class Detector:
         if energies is not None:
             residuals = baseline.learned()
             if self._tones.learn(residuals):
+                energies = baseline.learn_from(baseline.mean + residuals)
+            if baseline.learn_sound(residuals := baseline.learned()):
                 energies = baseline.learn_from(baseline.mean + residuals)
             hit = self._interference.learn(baseline.window)
             if 0 < 2 * hit.sum() < len(hit):  # where impulses have hit most frames, these stay

@@ -15,7 +15,6 @@ import math
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from touchd.detection.hum import FAR_BELOW
 from touchd.frame import Acquisition
 
 Signal = NDArray[np.floating]
@@ -32,8 +31,8 @@ starts at full amplitude (twin). An impulse with a thousandth of the finger's en
 _TAPER = 0.5
 """Of the window: Hann's attenuates impulses near the frame's ends, to which an atlas with its flatter window is
 sensitive."""
-_FIRST_BIN, _BESIDE_HUM = 3, 1.6 * FAR_BELOW
-"""Offsets lie below, and, as a share of the band's lower edge, hum with what is left beside it."""
+_FIRST_BIN = 3
+"""Offsets lie below."""
 _BELOW, _ABOVE = 0.5, 0.2
 """Distance of the bins used from the chirp's band, in widths of it: where a finger leaks less than noise."""
 _BELOW_LINES, _LINES_LEAK = 0.6, 0.005
@@ -57,13 +56,13 @@ class Impulses:
     acquisition : Acquisition
     dtype : type
         Of the residuals.
-    hums : bool
-        Whether hum is taken out of them, of which something is left beside it.
+    above : float
+        Share of the band's lower edge up to which something is left of hum or sound that is taken out of them.
     """
 
-    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32, *, hums: bool = False) -> None:
+    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32, *, above: float = 0.0) -> None:
         n = acquisition.samples
-        bins = _bins_outside(acquisition, hums=hums)
+        bins = _bins_outside(acquisition, above)
         phase = (np.outer(np.arange(n), bins) % n) * (2 * np.pi / n)
         matrix = acquisition.window(_TAPER)[:, None] * np.concatenate([np.cos(phase), -np.sin(phase)], axis=1)
         self._tells_when = not acquisition.is_whole_period
@@ -158,7 +157,7 @@ class Impulses:
         return np.asarray((rows * told[..., None]).reshape(-1, rows.shape[-1]).astype(self._matrix.dtype))
 
 
-def _bins_outside(acquisition: Acquisition, *, hums: bool) -> NDArray[np.int64]:
+def _bins_outside(acquisition: Acquisition, above: float) -> NDArray[np.int64]:
     """Return the bins far from the chirp's band, on both sides; in steady state those below it."""
     f_hz = np.arange(acquisition.samples // 2) * acquisition.sample_rate_hz / acquisition.samples
     low, high = acquisition.chirp.band_hz
@@ -167,6 +166,5 @@ def _bins_outside(acquisition: Acquisition, *, hums: bool) -> NDArray[np.int64]:
     else:
         outside = (f_hz < low - _BELOW * (high - low)) | (f_hz > high + _ABOVE * (high - low))
     outside[:_FIRST_BIN] = False
-    if hums:
-        outside[f_hz < _BESIDE_HUM * low] = False
+    outside[f_hz < above * low] = False
     return np.flatnonzero(outside)

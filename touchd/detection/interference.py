@@ -9,7 +9,7 @@ from numpy.typing import DTypeLike, NDArray
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
-from touchd.detection.hum import BELOW, Hum
+from touchd.detection.hum import BELOW, FAR_BELOW, Hum
 from touchd.detection.impulses import Impulses
 from touchd.detection.tones import Tones
 from touchd.frame import Acquisition
@@ -25,6 +25,10 @@ CLIPS_NS = 80_000_000
 FADES_NS, FADED = 30_000_000, 4.0
 """After this time a knock has faded by this factor in energy, above 8 kHz: glass with a loss factor of 0.005 by 60 dB.
 A rise by it is another knock."""
+_BESIDE = 1.6 * FAR_BELOW, 1.2
+"""Of hum and of sound that are taken out something is left up to these shares of the band's lower edge."""
+_SOUND_S, _LOOK_S, _MOST_SOUNDS = 1.5, 0.1, 0.4
+"""There is sound if this share of some 1.5 s tells it: a knock fades in 0.1 s, for which a frame stands at most."""
 
 
 class Interference:
@@ -42,9 +46,10 @@ class Interference:
 
     def __init__(self, acquisition: Acquisition, baseline: Baseline, gate: Gate, dtype: DTypeLike) -> None:
         self.tones = Tones(acquisition, dtype)
-        self._impulses = [Impulses(acquisition, dtype, hums=hums) for hums in (False, True)]
+        self._impulses = [Impulses(acquisition, dtype, above=above) for above in (0.0, *_BESIDE)]
         self._baseline, self._gate = baseline, gate
         self._below = Hum(acquisition, dtype, BELOW)
+        self._sounds, self._sounded_ns = 0.0, 0  # share of the last time that was louder below the band than noise
         slower = USUAL_HZ / acquisition.chirp.band_hz[0]
         self._in_band_ns, self._fades_ns = round(IN_BAND_NS * slower), round(FADES_NS * slower)
         self._loudness = self._loudest = 0.0
@@ -53,17 +58,23 @@ class Interference:
 
     @property
     def impulses(self) -> Impulses:
-        """What finds impulses: with hum by fewer frequencies."""
-        return self._impulses[self._baseline.hum.known]
+        """What finds impulses: with hum and sound by fewer frequencies."""
+        return self._impulses[2 if self._baseline.sound.known else self._baseline.hum.known]
 
     def learn(self, frames: Signal) -> NDArray[np.bool_]:
         """Learn the noise from untouched frames, (n, channels, samples); return which an impulse has hit, (n,)."""
-        return [each.learn(frames) for each in self._impulses][self._baseline.hum.known]
+        self._sounds = 0.0
+        hits = {each: each.learn(frames) for each in self._impulses}
+        return hits[self.impulses]
 
-    def update(self, residual: Signal) -> None:
+    def update(self, t_ns: int, residual: Signal) -> None:
         """Follow the noise by an untouched frame, (channels, samples)."""
         for each in self._impulses:
             each.update(residual)
+        baseline = self._baseline
+        if baseline.may_sound and not baseline.sound.known:
+            energy = baseline.residual_energy() + baseline.delay_energy
+            self._hear(t_ns, loud=baseline.sound.tells(residual, energy))
 
     def clean(self, detection: Detection, *, listens: bool) -> Detection:
         """Take out of a touched frame's residual what is found in it; return the same detection if nothing is.
@@ -87,6 +98,7 @@ class Interference:
             # Low frequencies ring longest.
             self._below.remove(residual)
             energy, touched = self._again()
+            self._hear(detection.t_ns, loud=not touched)
             in_band = 0 <= detection.t_ns - self._knocked_ns < self._in_band_ns
             rings = touched and (in_band or self._is_loud(residual, energy) or baseline.clips(self._top))
         if not (found or hits or hums or knocked or clips):
@@ -96,6 +108,14 @@ class Interference:
             noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=self.tones.known_hz, hits=hits,
             rings=rings,
         )  # fmt: skip
+
+    def _hear(self, t_ns: int, *, loud: bool) -> None:
+        """Follow for which share of the time the plate is louder below the band than noise: longer, and it is sound."""
+        gone_s = max(t_ns - self._sounded_ns, 0) * 1e-9
+        self._sounded_ns = t_ns
+        self._sounds = (_SOUND_S * self._sounds + loud * min(gone_s, _LOOK_S)) / (_SOUND_S + gone_s)
+        if self._sounds > _MOST_SOUNDS and self._baseline.may_sound and not self._baseline.sound.known:
+            self._baseline.take_out_sound()
 
     def _rings(self, detection: Detection, energy: float) -> bool:
         """Return whether a frame in which no impulse was found is louder outside the band, as after a knock.

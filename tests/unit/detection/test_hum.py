@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.fields import RIG, Field, untouched
 from touchd.config.schema import Settings
@@ -110,3 +111,35 @@ def test_long_frames_stay_cheap() -> None:
     assert found.learn(residuals)
     assert found.white_left > 0.99
     assert np.abs(residuals).max() < 1.0
+
+
+def sound(seed: int, n: int, level: float) -> NDArray[np.float64]:
+    """Of a loudspeaker: a few tones up to 12 kHz at a time, others in each third of a second."""
+    rng, found = np.random.default_rng(seed), []
+    for start in range(0, n, 40):
+        hz = np.exp(rng.uniform(np.log(150), np.log(12e3), 12))
+        time_s = np.arange(start, start + 40)[:, None, None] * 8e-3 + np.arange(RIG.samples) / RIG.sample_rate_hz
+        waves = np.sin(2 * np.pi * hz[:, None, None, None] * time_s + rng.uniform(0, 6, (12, 1, 4, 1)))
+        found.append(level * rng.uniform(0.1, 1.5) * waves.sum(axis=0))
+    return np.concatenate(found)[:n]
+
+
+@pytest.mark.parametrize("begins", [0, 120])
+@pytest.mark.parametrize("level", [5.0, 50.0, 300.0])
+def test_touches_are_told_from_a_loudspeaker(begins: int, level: float) -> None:
+    """Once it has sounded for some seconds."""
+    detector, frames = Detector(RIG, Settings(), lambda *_: None), 1200
+    sounds = sound(6, frames, level)
+    told = []
+    for n in range(frames):
+        touches = n % 160 >= 150
+        frame = 10 * untouched() + noise(n, 1)[0] + sounds[n] * (n >= begins) + FINGER * touches
+        detection = detector.detect(Frame(np.rint(frame).astype(np.int16), n, n * 8_000_000, 0))
+        if detection.outcome is Outcome.TOUCHED:
+            detection = detector.clean(detection)
+        if n >= 700:
+            told.append((detection.outcome is Outcome.TOUCHED) == touches)
+        if detection.outcome is not Outcome.LEARNING:
+            detector.adapt(detection, touches and detection.outcome is Outcome.TOUCHED, False, False)
+    assert told.count(False) <= 1
+    assert 0.8 * SIGMA < detector.noise_counts() < 1.1 * SIGMA
