@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition, Plate
-from touchd.twin.in_time import few_of
+from touchd.twin.few_frames import few_of
 from touchd.twin.physics import chebyshev
 from touchd.twin.physics.contact import size_of
 from touchd.twin.physics.filters import anti_alias
