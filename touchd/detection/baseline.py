@@ -55,9 +55,8 @@ class Baseline:
         """What is taken out of every residual once there is any."""
         self.sound = Hum(acquisition, dtype, BELOW)
         """The same of sound that goes on, as of a loudspeaker, up to higher frequencies."""
-        self.may_sound = acquisition.chirp.period_s is None
-        """Whether there may be any: in steady state a filter takes it out of what is captured, `touchd.audio.capture`.
-        """
+        # In steady state a filter takes it out of what is captured: `touchd.audio.capture`.
+        self._may_sound = acquisition.chirp.period_s is None
         self.mean: Signal = np.zeros(shape, dtype)
         self.signal: Signal = np.zeros(shape, dtype)
         """The last frame, as floats; valid until the next frame."""
@@ -151,7 +150,12 @@ class Baseline:
 
         Tones are none: they are looked for before, but where sound is so unsteady that nothing else can be told.
         """
-        return self.may_sound and (self.sound.known or self.sound.learn(residuals))
+        return self.awaits_sound and self.sound.learn(residuals)
+
+    @property
+    def awaits_sound(self) -> bool:
+        """Whether there may be sound that is not taken out yet."""
+        return self._may_sound and not self.sound.known
 
     def take_out_sound(self) -> None:
         """Take out sound from the next frame on: it has begun since the plate was learned."""

@@ -61,7 +61,7 @@ class Hum:
         # Against the median, and in the median frame: an impulse leaves no trace there.
         left = residuals - np.median(residuals, axis=0)
         energy, whole = (float(np.median(np.square(each).sum(axis=(1, 2)))) for each in (left @ self._columns, left))
-        self.known = energy > LOUD * self._share / (1 - self._share) * (whole - energy)
+        self.known = self._is_loud(energy, whole)
         residuals -= self.of(residuals)
         return self.known
 
@@ -78,7 +78,10 @@ class Hum:
         """Return whether an untouched residual of this energy, counts squared, has far more there than white noise."""
         np.dot(residual, self._columns, self._along)
         self._flat.dot(self._flat, self._energy)
-        below: float = self._energy.item()
+        return self._is_loud(self._energy.item(), energy)
+
+    def _is_loud(self, below: float, energy: float) -> bool:
+        """Return whether an energy there is far more than white noise would have beside the rest."""
         return bool(below > LOUD * self._share / (1 - self._share) * (energy - below))
 
     def find(self, residual: Signal, energy: float, noise_energy: float) -> bool:

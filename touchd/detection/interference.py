@@ -9,7 +9,7 @@ from numpy.typing import DTypeLike, NDArray
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
-from touchd.detection.hum import BELOW, FAR_BELOW, Hum
+from touchd.detection.hum import FAR_BELOW
 from touchd.detection.impulses import Impulses
 from touchd.detection.tones import Tones
 from touchd.frame import Acquisition
@@ -48,7 +48,6 @@ class Interference:
         self.tones = Tones(acquisition, dtype)
         self._impulses = [Impulses(acquisition, dtype, above=above) for above in (0.0, *_BESIDE)]
         self._baseline, self._gate = baseline, gate
-        self._below = Hum(acquisition, dtype, BELOW)
         self._sounds, self._sounded_ns = 0.0, 0  # share of the last time that was louder below the band than noise
         slower = USUAL_HZ / acquisition.chirp.band_hz[0]
         self._in_band_ns, self._fades_ns = round(IN_BAND_NS * slower), round(FADES_NS * slower)
@@ -72,7 +71,7 @@ class Interference:
         for each in self._impulses:
             each.update(residual)
         baseline = self._baseline
-        if baseline.may_sound and not baseline.sound.known:
+        if baseline.awaits_sound:
             energy = baseline.residual_energy() + baseline.delay_energy
             self._hear(t_ns, loud=baseline.sound.tells(residual, energy))
 
@@ -96,7 +95,7 @@ class Interference:
         rings = clips
         if knocked := touched and not (hits or clips) and self._rings(detection, energy):
             # Low frequencies ring longest.
-            self._below.remove(residual)
+            baseline.sound.remove(residual)
             energy, touched = self._again()
             self._hear(detection.t_ns, loud=not touched)
             in_band = 0 <= detection.t_ns - self._knocked_ns < self._in_band_ns
@@ -114,7 +113,7 @@ class Interference:
         gone_s = max(t_ns - self._sounded_ns, 0) * 1e-9
         self._sounded_ns = t_ns
         self._sounds = (_SOUND_S * self._sounds + loud * min(gone_s, _LOOK_S)) / (_SOUND_S + gone_s)
-        if self._sounds > _MOST_SOUNDS and self._baseline.may_sound and not self._baseline.sound.known:
+        if self._sounds > _MOST_SOUNDS and self._baseline.awaits_sound:
             self._baseline.take_out_sound()
 
     def _rings(self, detection: Detection, energy: float) -> bool:

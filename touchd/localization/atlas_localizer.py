@@ -287,7 +287,7 @@ class AtlasLocalizer:
         return self._touch_maker.touches(at, sure, None if doubt else self._faces, confidence, change)
 
     def _rests(self, detection: Detection) -> bool:
-        """Return whether the finger of the last fit is still where it was, but for the noise."""
+        """Return whether the last fit's finger is where it was, but for the noise, and no search for others goes on."""
         if not self._touches or self._search.pending or not self._still.holds(detection, self._plate):
             return False
         self._prediction.rest(detection.t_ns)

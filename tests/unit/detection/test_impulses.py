@@ -150,7 +150,7 @@ def test_in_steady_state_a_knock_is_loud_and_nothing_is_blanked(name: str) -> No
     impulses = Impulses(a)
     assert not impulses.learn(noise).any()
     seconds = np.arange(a.samples) / a.sample_rate_hz
-    lines = 300 * np.sin(2 * np.pi * (a.chirp.band_hz[0] + 4 / a.chirp.period_s) * seconds)  # type: ignore[operator] # in steady state
+    lines = 300 * np.sin(2 * np.pi * (a.chirp.band_hz[0] + 4 * a.sample_rate_hz / a.samples) * seconds)
     touched = (noise[0] + lines).astype(np.float32)
     energy = float(np.square(touched).sum())
     assert impulses.loudness(touched) < impulses.most(energy)
