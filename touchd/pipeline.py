@@ -51,8 +51,8 @@ class Pipeline:
     """All stages between a source and the sinks, for one plate.
 
     The model must fit the geometry of the frames (ModelMismatch), and its type of number is that of all arrays. Without
-    one nothing is placed until `set_model`. `layout` has the keys, in keypad mode. `notify` is called when the baseline
-    is relearned, with the reason and fields for the log.
+    one nothing is placed until `set_model`. `layout` has the keys, in keypad mode. `notify` is called with a reason and
+    fields for the log when the baseline is relearned or another pane's chirp is found.
     """
 
     def __init__(

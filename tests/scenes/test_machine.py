@@ -1,4 +1,4 @@
-"""A plate in the world hums and is knocked on: neither hides a touch, nor lifts a finger that rests."""
+"""A plate in the world hums, is knocked on and hears another pane: none hides a touch, nor lifts a resting finger."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from touchd.localization.model import Model
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.knock import Knock
+from touchd.twin.physics.other_pane import OtherPane
 from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.scenes.timeline import Stage, still
 from touchd.twin.simulate import DEFAULT_PLATE
@@ -108,6 +109,34 @@ def test_nails_that_tap_beside_a_resting_finger(seed: int, instrument: Instrumen
     assert found.ghosts == 0
 
 
+@pytest.mark.parametrize(("finger", "level_db"), [("fingertip", -30.0), ("glove", -40.0)])
+def test_another_pane_hides_no_touch(finger: str, level_db: float, instrument: Instrument) -> None:
+    """With a clock of its own, 20 parts in a million faster; from -50 dB on it once hid all touches for minutes."""
+    stage = empty_stage(11.0, seed=2633000)
+    stage.other_panes.append(OtherPane(level_db))
+    taps(stage, finger, 6.0, 10.5)
+    found = score(stage, play(stage, instrument))
+    assert found.touches > 6
+    assert (found.missed, found.ghosts, found.split) == (0, 0, 0)
+    assert np.median(np.hypot(*found.error_mm.T)) < 0.2
+
+
+def test_another_pane_that_is_switched_on_and_off(instrument: Instrument) -> None:
+    """It is touched as well, and a finger rests meanwhile. Each change takes some seconds."""
+    stage = empty_stage(20.0, seed=2633001)
+    touches = tuple((at_s, at_s + 0.5) for at_s in np.arange(2.5, 9.5, 1.3).tolist())
+    stage.other_panes.append(OtherPane(-40.0, 1e-3, -35.0, start_s=2.0, stop_s=10.0, touches=touches))
+    stage.lay("fingertip", 1.0, 4.0, still(70.0, 120.0), force_n=0.5, column=1)
+    taps(stage, "fingertip", 7.0, 9.5)
+    taps(stage, "fingertip", 15.0, 19.5)
+    outcome = play(stage, instrument)
+    found = score(stage, outcome)
+    assert found.touches > 10
+    assert (found.missed, found.ghosts, found.split) == (0, 0, 0)
+    assert [reason for reason, _ in outcome.notices] == ["another chirp"]
+    assert outcome.notices[0][1]["clocks_ppm"] == pytest.approx(-35.0, abs=2.0)
+
+
 @pytest.fixture(scope="module", params=["audio-96", "audio-192"])
 def interface(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Instrument, Model]:
     """The plate at an audio interface, with a model of the twin's own parameters."""
@@ -129,4 +158,14 @@ def test_an_audio_interface_tells_knocks(interface: tuple[Instrument, Model]) ->
     stage = stage_scene("machine", DEFAULT_PLATE, seed=2612002)
     found = score(stage, play(stage, instrument, model=model))
     assert found.touches >= 5
+    assert (found.missed, found.ghosts, found.split) == (0, 0, 0)
+
+
+def test_an_audio_interface_tells_another_pane(interface: tuple[Instrument, Model]) -> None:
+    instrument, model = interface
+    stage = empty_stage(10.0, seed=2633002)
+    stage.other_panes.append(OtherPane(-40.0))
+    taps(stage, "fingertip", 6.0, 9.5)
+    found = score(stage, play(stage, instrument, model=model))
+    assert found.touches > 4
     assert (found.missed, found.ghosts, found.split) == (0, 0, 0)

@@ -98,7 +98,7 @@ class Baseline:
         """Have no residual, and so no drift, in channels that are not live, shape (channels,)."""
         self._silenced = np.flatnonzero(~live).tolist()
 
-    def learn(self, counts: Counts, t_ns: int) -> NDArray[np.float64] | None:
+    def learn(self, counts: Counts | Signal, t_ns: int) -> NDArray[np.float64] | None:
         """Take one frame into the window.
 
         Returns

@@ -35,6 +35,9 @@ KEEP_EVERY = 16
 """Stuck channels and cycles: the detector watches another channel and keeps another frame after every 16th untouched
 frame; another channel after every touched frame, and another frame after every 8th."""
 
+OTHER_CHIRP = "another chirp"
+"""What `notify` is called with when another pane's chirp is found."""
+
 _NO_FRAME = -(2**62)
 _TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
 
@@ -49,7 +52,7 @@ class Detector:
     acquisition : Acquisition
     settings : Settings
     notify : callable
-        Called when the baseline is relearned, with the reason and fields for the log.
+        Called with a reason and fields for the log when the baseline is relearned or another pane's chirp is found.
     dtype : type
         Of all arrays.
     """
@@ -62,7 +65,7 @@ class Detector:
         self.liveness = Liveness()
         self._baseline = Baseline(acquisition, settings.baseline, dtype)
         self._interference = Interference(acquisition, self._baseline, self.gate, dtype)
-        self._tones = self._interference.tones
+        self._tones, self._other_chirp = self._interference.tones, self._interference.other_chirp
         self._relearn = Relearn(shape, settings.baseline, dtype)
         self._stuck = Stuck(shape, dtype)
         self._live = self._stuck.live
@@ -89,6 +92,7 @@ class Detector:
         """Relearn the plate from the next frame on, which may have any number: the device was away."""
         self._notify("reconnected", {})
         self.sequence = _NO_FRAME
+        self._other_chirp.reset()
         self._learn()
 
     def detect(self, frame: Frame) -> Detection:
@@ -110,10 +114,14 @@ class Detector:
         if stuck.live is not self._live:
             self._live = stuck.live
             baseline.set_channels(self._live)
+            self._other_chirp.reset()
         if self._learning:
             return self._learning_frame(frame, lost)
         energy = baseline.subtract(frame.counts, frame.t_ns)
         was_open = gate.is_open
+        if self._other_chirp.known:
+            self._other_chirp.remove(baseline.residual, frame.sequence)
+            energy = baseline.residual_energy()
         if tones.known_hz:
             baseline.keep()  # else what a tone has left in the mean while it was learned would stay there for ever
             if not was_open and not frame.sequence % (RENEW_EVERY * pace.slow_every):
@@ -164,7 +172,7 @@ class Detector:
         moving : bool
             Whether a contact moves, lands or lifts.
         """
-        self._alive = alive
+        self._alive, other = alive, self._other_chirp
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()
@@ -174,6 +182,8 @@ class Detector:
             if not self.sequence % self._pace.slow_every:
                 self._interference.update(detection.t_ns, detection.residual)
             if not alive:
+                if other.known or other.listens:
+                    self._follow_other(detection, touched=False)
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
             return
@@ -185,6 +195,8 @@ class Detector:
             if alive and not detection.hits:
                 self._tones.keep(detection.residual)
         finger, energy = found or alive, detection.energy
+        if not finger:
+            self._follow_other(detection, touched=True)
         if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.
             self._baseline.follow(quickly=moved)
@@ -200,6 +212,13 @@ class Detector:
                 self._relearn.reset()
             else:
                 self._learn()
+
+    def _follow_other(self, detection: Detection, *, touched: bool) -> None:
+        """Learn another pane's chirp from a frame that no finger explains."""
+        other = self._other_chirp
+        if other.follow(detection.residual, self.sequence, detection.energy, touched=touched):
+            clocks_ppm = 1e6 * other.skew_ns / self._pace.period_ns
+            self._notify(OTHER_CHIRP, {"frame": self.sequence, "clocks_ppm": round(clocks_ppm, 1)})
 
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
@@ -237,6 +256,7 @@ class Detector:
             # A low number in a later frame: the device has restarted, and what it hears may have changed. A number only
             # a little lower is a frame sent twice or late; a device that restarts so early soon overtakes it.
             self._notify("restarted", {"frame": frame.sequence, "after": last})
+            self._other_chirp.reset()
             self._learn()
             return 0
         return lost
@@ -244,7 +264,7 @@ class Detector:
     def _learning_frame(self, frame: Frame, lost: int) -> Detection:
         """Learn the untouched plate and its noise, before anything is sensed."""
         baseline = self._baseline
-        energies = baseline.learn(frame.counts, frame.t_ns)
+        energies = baseline.learn(self._other_chirp.take_out(frame.counts, frame.sequence), frame.t_ns)
         learned = None
         if energies is not None:
             residuals = baseline.learned()
@@ -257,6 +277,7 @@ class Detector:
                 energies = baseline.learn_from(baseline.window[~hit])
             self.gate.learn(energies)
             self._relearn.reset()
+            self._other_chirp.end()
             self._signal_energy = baseline.energy()
             self._learning = False
             self.followed_ns = self.liveness.measured_ns = frame.t_ns
@@ -274,4 +295,5 @@ class Detector:
 
     def _learn(self) -> None:
         self._baseline.reset()
+        self._other_chirp.begin()
         self._learning = True

@@ -11,6 +11,7 @@ from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
 from touchd.detection.hum import FAR_BELOW
 from touchd.detection.impulses import Impulses
+from touchd.detection.other_chirp import OtherChirp
 from touchd.detection.tones import Tones
 from touchd.frame import Acquisition
 from touchd.outcome import Outcome
@@ -46,6 +47,7 @@ class Interference:
 
     def __init__(self, acquisition: Acquisition, baseline: Baseline, gate: Gate, dtype: DTypeLike) -> None:
         self.tones = Tones(acquisition, dtype)
+        self.other_chirp = OtherChirp(acquisition, dtype)
         self._impulses = [Impulses(acquisition, dtype, above=above) for above in (0.0, *_BESIDE)]
         self._baseline, self._gate = baseline, gate
         self._sounds, self._sounded_ns = 0.0, 0  # share of the last time that was louder below the band than noise
@@ -71,6 +73,7 @@ class Interference:
         for each in self._impulses:
             each.update(residual)
         baseline = self._baseline
+        self.other_chirp.hear(self._gate.noise_energy)
         if baseline.awaits_sound:
             energy = baseline.residual_energy() + baseline.delay_energy
             self._hear(t_ns, loud=baseline.sound.tells(residual, energy))

@@ -12,6 +12,7 @@ from functools import partial
 import structlog
 
 from touchd.config.schema import Settings
+from touchd.detection.detector import OTHER_CHIRP
 from touchd.errors import SourceError
 from touchd.files import is_missing
 from touchd.keypad import Layout
@@ -39,8 +40,12 @@ log = structlog.get_logger()
 
 
 def log_notice(reason: str, fields: dict[str, float]) -> None:
-    """Log that the baseline is relearned."""
-    log.info("baseline relearned", reason=reason, **fields)
+    """Log why the baseline is relearned, or that another pane's chirp was found."""
+    if reason == OTHER_CHIRP:
+        fix = "keep their cables apart, or let both share one clock"
+        log.warning("another pane's chirp, on a clock of its own, is subtracted from frames", fix=fix, **fields)
+    else:
+        log.info("baseline relearned", reason=reason, **fields)
 
 
 def find_model(settings: Settings) -> Model | None:

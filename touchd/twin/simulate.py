@@ -21,6 +21,7 @@ from touchd.twin.electronics import Digitiser, Electronics, noise_states
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.knock import Ringing
+from touchd.twin.physics.other_pane import Heard
 from touchd.twin.rig import IDEAL, Rig
 from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.scenes.robot import COUNT, TouchSet, stage_touches
@@ -65,6 +66,7 @@ def stream(
     jitter.standard_normal(start)  # skip the jitter of earlier frames
     time_s, a = stage.time_s, instrument.acquisition
     ringings = [Ringing(instrument, knock) for knock in stage.knocks]
+    others = [Heard(instrument, pane, stage.rate_hz) for pane in stage.other_panes]
     # In steady state a frame is the mean of all chirps up to the next one.
     starts_s = np.arange(max(round(1 / (stage.rate_hz * (a.chirp.period_s or np.inf))), 1)) * (a.chirp.period_s or 0.0)
     sample_s = (starts_s[:, None] + np.arange(a.samples) / a.sample_rate_hz).reshape(-1)
@@ -80,6 +82,9 @@ def stream(
         for ringing in ringings:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 frame += ringing.signal(begin_s + sample_s).reshape(len(frame), len(starts_s), -1).mean(axis=1)
+        for other in others:
+            for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
+                frame += other.signal(begin_s)
         yield digitiser.counts(signal, time_s[first:last], np.array([bool(touch) for touch in touches]))
 
 

@@ -14,9 +14,12 @@ import pytest
 import structlog
 from hypothesis import given
 from hypothesis import strategies as st
+from structlog.testing import capture_logs
 
 from touchd.config.schema import LogSettings
+from touchd.detection.detector import OTHER_CHIRP
 from touchd.frame import Frame
+from touchd.service.daemon import log_notice
 from touchd.service.log import PRIVATE, REDACTED, configure, redact
 
 
@@ -182,3 +185,13 @@ def holds_private(value: Any) -> bool:
 @given(st.dictionaries(st.sampled_from([*sorted(PRIVATE), "payload"]), values))
 def test_whatever_is_logged_nothing_private_is_left(event: dict[str, Any]) -> None:
     assert not holds_private(redact(None, "info", event))
+
+
+def test_another_pane_is_a_warning_and_names_the_remedy() -> None:
+    with capture_logs() as lines:
+        log_notice(OTHER_CHIRP, {"frame": 510, "clocks_ppm": 20.0})
+        log_notice("absorbed", {"frame": 600, "level_db": -30.0})
+    assert [line["log_level"] for line in lines] == ["warning", "info"]
+    assert "another pane" in lines[0]["event"]
+    assert "clock" in lines[0]["fix"]
+    assert lines[1]["reason"] == "absorbed"
