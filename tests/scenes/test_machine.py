@@ -111,7 +111,7 @@ def test_nails_that_tap_beside_a_resting_finger(seed: int, instrument: Instrumen
 
 @pytest.mark.parametrize(("finger", "level_db"), [("fingertip", -30.0), ("glove", -40.0)])
 def test_another_pane_hides_no_touch(finger: str, level_db: float, instrument: Instrument) -> None:
-    """With a clock of its own, 20 parts in a million faster; from -50 dB on it once hid all touches for minutes."""
+    """With a clock of its own, 20 parts in a million off; from -50 dB on it once hid all gloved taps for minutes."""
     stage = empty_stage(11.0, seed=2633000)
     stage.other_panes.append(OtherPane(level_db))
     taps(stage, finger, 6.0, 10.5)

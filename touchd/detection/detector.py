@@ -264,8 +264,8 @@ class Detector:
     def _learning_frame(self, frame: Frame, lost: int) -> Detection:
         """Learn the untouched plate and its noise, before anything is sensed."""
         baseline = self._baseline
-        energies = baseline.learn(self._other_chirp.take_out(frame.counts, frame.sequence), frame.t_ns)
-        learned = None
+        counts, learned = self._other_chirp.take_out(frame.counts, frame.sequence), None
+        energies = None if counts is None else baseline.learn(counts, frame.t_ns)
         if energies is not None:
             residuals = baseline.learned()
             if self._tones.learn(residuals):

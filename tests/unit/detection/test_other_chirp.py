@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import DTypeLike, NDArray
 
-from touchd.detection.other_chirp import LISTENED, LONGEST, OtherChirp
+from touchd.detection.clock_skew import LISTENED, LONGEST
+from touchd.detection.other_chirp import OtherChirp
 from touchd.frame import ACQUISITIONS, Acquisition
 
 Floats = NDArray[np.float64]
@@ -56,10 +57,9 @@ def run(other: OtherChirp, frames: Skewed, first: int, count: int, dtype: DTypeL
 def test_is_taken_out(name: str, skew: float) -> None:
     """Seven times as loud as noise, and fifty times its energy: all but a tenth of noise goes."""
     other, frames = OtherChirp(ACQUISITIONS[name]), Skewed(ACQUISITIONS[name], skew, 7.0)
-    before = run(other, frames, 0, 2 * LISTENED)
+    assert run(other, frames, 0, 2 * LISTENED - 1).min() > 30
     assert other.known
-    assert before.min() > 30
-    run(other, frames, 2 * LISTENED, 500)
+    assert run(other, frames, 2 * LISTENED - 1, 501).max() < 1.5
     assert other.skew_ns == pytest.approx(skew / ACQUISITIONS[name].sample_rate_hz * 1e9, rel=0.03)
     assert run(other, frames, 2 * LISTENED + 500, 100).mean() < 1.1
 
@@ -88,6 +88,22 @@ def test_while_the_plate_is_learned() -> None:
     taken = [other.take_out(np.rint(frames.frame(n) + signal).astype(np.int16), n) for n in range(700)]
     late = np.array(taken[-64:], float)
     assert (late - late.mean(axis=0)).std() == pytest.approx(NOISE, rel=0.1)
+
+
+def test_while_the_plate_is_learned_again() -> None:
+    """Another signal stands now; frames in which a finger lies on the plate are left out."""
+    other, frames = OtherChirp(USB), Skewed(USB, 0.04, 7.0)
+    run(other, frames, 0, 400)
+    other.begin()
+    signal = 300 * NOISE * np.cos(np.arange(250) * np.arange(4)[:, None])
+    finger = 20 * NOISE * np.sin(np.arange(250) / 3)
+    taken = []
+    for number in range(400, 500):
+        counts = np.rint(frames.frame(number) + signal + finger * (430 <= number < 450)).astype(np.int16)
+        taken.append(other.take_out(counts, number))
+    assert [n for n, frame in enumerate(taken) if frame is None] == list(range(30, 50))
+    kept = np.array([frame for frame in taken if frame is not None], float)
+    assert (kept - kept.mean(axis=0)).std() == pytest.approx(NOISE, rel=0.1)
 
 
 def test_lost_frames_change_nothing() -> None:
