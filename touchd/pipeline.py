@@ -181,6 +181,12 @@ class Pipeline:
         return self._localizer.spectrum(self._detection) if self._detection else []
 
     @property
+    def needs_all_frames(self) -> bool:
+        """Whether another pane's chirp is known or looked for: at another frame rate it would be another waveform."""
+        other = self.detector.other_chirp
+        return not self.screen_off and (other.known or other.listens)
+
+    @property
     def residual(self) -> Signal:
         """Return the last frame less its baseline, shape (channels, samples), valid until the next one."""
         assert self._detection is not None  # after a frame

@@ -509,6 +509,15 @@ def test_screen_off(scene: Scene, make: Callable[..., Pipeline]) -> None:
     assert pipeline.counters.frames == pipeline.counters.inferred + sum(pipeline.counters.skipped.values())
 
 
+def test_all_frames_are_needed_while_another_pane_is_heard(make: Callable[..., Pipeline]) -> None:
+    pipeline = make()
+    needed = [pipeline.needs_all_frames]
+    pipeline.detector.other_chirp.known = True
+    needed.append(pipeline.needs_all_frames)
+    pipeline.set_screen(off=True)
+    assert [*needed, pipeline.needs_all_frames] == [False, True, False]
+
+
 def test_key_and_screen(scene: Scene, make: Callable[..., Pipeline], keypad: dict[str, Any]) -> None:
     """A key that is held when the screen goes off is released."""
     pipeline = make(**keypad)

@@ -129,6 +129,8 @@ def _examine_frames(
     yield checks.check_lost(sample)
     yield checks.check_dead(sample)
     yield checks.check_noise(sample)
+    if (other_pane := checks.find_other_pane(sample)) is not None:
+        yield other_pane
     yield checks.check_clipping(sample)
     if model is not None and pipeline is not None:
         yield _examine_baseline(sample, reference, model)

@@ -65,7 +65,7 @@ class Detector:
         self.liveness = Liveness()
         self._baseline = Baseline(acquisition, settings.baseline, dtype)
         self._interference = Interference(acquisition, self._baseline, self.gate, dtype)
-        self._tones, self._other_chirp = self._interference.tones, self._interference.other_chirp
+        self._tones, self.other_chirp = self._interference.tones, self._interference.other_chirp
         self._relearn = Relearn(shape, settings.baseline, dtype)
         self._stuck = Stuck(shape, dtype)
         self._live = self._stuck.live
@@ -92,7 +92,7 @@ class Detector:
         """Relearn the plate from the next frame on, which may have any number: the device was away."""
         self._notify("reconnected", {})
         self.sequence = _NO_FRAME
-        self._other_chirp.reset()
+        self.other_chirp.reset()
         self._learn()
 
     def detect(self, frame: Frame) -> Detection:
@@ -106,6 +106,7 @@ class Detector:
         pace, step_ns = self._pace, frame.t_ns - self._last_ns
         if not pace.low_ns < step_ns < pace.high_ns and not lost and pace.update(step_ns):
             gate.set_period(pace.period_ns)
+            self.other_chirp.restart()
         self.sequence, self._last_ns = frame.sequence, frame.t_ns
         baseline, stuck = self._baseline, self._stuck
         if stuck.repeats(frame.counts, baseline.signal):
@@ -114,13 +115,13 @@ class Detector:
         if stuck.live is not self._live:
             self._live = stuck.live
             baseline.set_channels(self._live)
-            self._other_chirp.reset()
+            self.other_chirp.reset()
         if self._learning:
             return self._learning_frame(frame, lost)
         energy = baseline.subtract(frame.counts, frame.t_ns)
         was_open = gate.is_open
-        if self._other_chirp.known:
-            self._other_chirp.remove(baseline.residual, frame.sequence)
+        if self.other_chirp.known:
+            self.other_chirp.remove(baseline.residual, frame.sequence)
             energy = baseline.residual_energy()
         if tones.known_hz:
             baseline.keep()  # else what a tone has left in the mean while it was learned would stay there for ever
@@ -172,7 +173,7 @@ class Detector:
         moving : bool
             Whether a contact moves, lands or lifts.
         """
-        self._alive, other = alive, self._other_chirp
+        self._alive, other = alive, self.other_chirp
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()
@@ -215,7 +216,7 @@ class Detector:
 
     def _follow_other(self, detection: Detection, *, touched: bool) -> None:
         """Learn another pane's chirp from a frame that no finger explains."""
-        other = self._other_chirp
+        other = self.other_chirp
         if other.follow(detection.residual, self.sequence, detection.energy, touched=touched):
             clocks_ppm = 1e6 * other.skew_ns / self._pace.period_ns
             self._notify(OTHER_CHIRP, {"frame": self.sequence, "clocks_ppm": round(clocks_ppm, 1)})
@@ -256,7 +257,7 @@ class Detector:
             # A low number in a later frame: the device has restarted, and what it hears may have changed. A number only
             # a little lower is a frame sent twice or late; a device that restarts so early soon overtakes it.
             self._notify("restarted", {"frame": frame.sequence, "after": last})
-            self._other_chirp.reset()
+            self.other_chirp.reset()
             self._learn()
             return 0
         return lost
@@ -264,7 +265,7 @@ class Detector:
     def _learning_frame(self, frame: Frame, lost: int) -> Detection:
         """Learn the untouched plate and its noise, before anything is sensed."""
         baseline = self._baseline
-        counts, learned = self._other_chirp.take_out(frame.counts, frame.sequence), None
+        counts, learned = self.other_chirp.take_out(frame.counts, frame.sequence), None
         energies = None if counts is None else baseline.learn(counts, frame.t_ns)
         if energies is not None:
             residuals = baseline.learned()
@@ -277,7 +278,7 @@ class Detector:
                 energies = baseline.learn_from(baseline.window[~hit])
             self.gate.learn(energies)
             self._relearn.reset()
-            self._other_chirp.end()
+            self.other_chirp.end()
             self._signal_energy = baseline.energy()
             self._learning = False
             self.followed_ns = self.liveness.measured_ns = frame.t_ns
@@ -295,5 +296,5 @@ class Detector:
 
     def _learn(self) -> None:
         self._baseline.reset()
-        self._other_chirp.begin()
+        self.other_chirp.begin()
         self._learning = True

@@ -73,6 +73,12 @@ class OtherChirp:
         self.known = self.listens = False
         self.begin()
 
+    def restart(self) -> None:
+        """Look for it again: at another frame rate frames begin at other times of its period."""
+        self.listens |= self.known
+        self.known = False
+        self._clock.forget()
+
     def begin(self) -> None:
         """Prepare for frames from which the plate is learned."""
         self._averaged = 0
@@ -80,7 +86,7 @@ class OtherChirp:
 
     def end(self) -> None:
         """Go on looking for it in untouched frames if the plate took long to be steady."""
-        self.listens = self._clock.heard >= LISTENED and not self.known
+        self.listens |= self._clock.heard >= LISTENED and not self.known
 
     @property
     def skew_ns(self) -> float:

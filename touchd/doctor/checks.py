@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.detection.clock_skew import LISTENED, ClockSkew
 from touchd.detection.hum import Hum
 from touchd.frame import Acquisition
 
@@ -144,6 +145,21 @@ def check_noise(sample: Sample) -> Finding:
         text += f"; hum or vibration of up to {hum_db:+.0f} dB is taken out"
     fix = "move chargers, motors and switching supplies away; check shielding and ground of the receivers"
     return _found("noise", level, text, fix)
+
+
+def find_other_pane(sample: Sample) -> Finding | None:
+    """Look for another pane's chirp, on a clock of its own; needs frames of 2 s at 125 a second."""
+    clock, changes = ClockSkew(sample.acquisition, np.float64), sample.heard - sample.untouched
+    for change, number in zip(changes, sample.sequence.tolist(), strict=True):
+        clock.hear(change, number)
+    skew = clock.told() if clock.heard >= LISTENED else None
+    if skew is None:
+        return None
+    period_s = float(np.median(np.diff(sample.t_ns) / np.maximum(np.diff(sample.sequence), 1))) * 1e-9
+    clocks_ppm = 1e6 * skew / sample.acquisition.sample_rate_hz / max(period_s, 1e-9)
+    level_db = 20 * np.log10(_rms(changes.reshape(1, -1))[0] / _rms(sample.untouched)[_alive(sample)].mean())
+    text = f"another pane's chirp, {level_db:+.0f} dB beside the signal, on a clock {clocks_ppm:+.0f} ppm off"
+    return Finding("other pane", "warning", text, "let both panes share one clock, or lay their cables apart")
 
 
 def check_clipping(sample: Sample) -> Finding:

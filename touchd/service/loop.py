@@ -183,7 +183,8 @@ class Service:
         quiet_ns = now_ns - self._health_ns
         if quiet_ns >= self._health.period_ns and (quiet_ns >= _UNHEARD_NS or self._messages.wants("health")):
             self._publish_health()
-        self._rate.wanted = self._feed is not None and bool(self._feed.listeners)
+        followed = self._feed is not None and bool(self._feed.listeners)
+        self._rate.wanted = followed or self.pipeline.needs_all_frames
         self._rate.tick(self._stream_ns)
         if self._control is not None and now_ns - self._control_ns >= _CONTROL_NS:
             self._control_ns = now_ns

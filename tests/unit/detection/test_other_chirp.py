@@ -128,6 +128,17 @@ def test_begun_anew_at_another_time() -> None:
     assert np.mean(left[-100:]) < 1.1
 
 
+def test_at_another_frame_rate_it_is_looked_for_again() -> None:
+    other, slow = OtherChirp(USB), Skewed(USB, 0.04, 7.0)
+    run(other, slow, 0, 400)
+    other.restart()
+    assert (other.known, other.listens) == (False, True)
+    fast = Skewed(USB, 0.016, 7.0, seed=1)
+    run(other, fast, 400, 2 * LISTENED)
+    assert other.known
+    assert run(other, fast, 400 + 2 * LISTENED, 100).max() < 1.5
+
+
 def test_an_end_is_noticed() -> None:
     other, frames = OtherChirp(USB), Skewed(USB, 0.04, 7.0)
     run(other, frames, 0, 600)

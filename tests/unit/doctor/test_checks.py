@@ -10,10 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import Scene
+from tests.scenes.stages import empty_stage
 from touchd.doctor import checks as doctor
 from touchd.doctor.checks import Finding, Sample, grade
 from touchd.doctor.start import check_model_fit
 from touchd.frame import Acquisition
+from touchd.twin.instrument import Instrument
+from touchd.twin.physics.other_pane import OtherPane
+from touchd.twin.simulate import stream
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 PERIOD_NS = 8_000_000
@@ -173,6 +177,23 @@ def test_hum_is_told_and_neither_noise_nor_a_changed_plate(idle: np.ndarray) -> 
     assert noise.text.endswith("hum or vibration of up to +0 dB is taken out")
     np.testing.assert_allclose(doctor.noise_counts(sample(humming)), doctor.noise_counts(sample(idle)) / 2, rtol=0.1)
     assert every(doctor.check_baseline, humming, idle[:32].mean(axis=0)).level == "ok"
+
+
+def test_another_pane_is_named_with_its_level_and_clock(instrument: Instrument) -> None:
+    stage = empty_stage(3.0, seed=2633010)
+    stage.other_panes.append(OtherPane(-30.0, clocks_ppm=-35.0))
+    finding = doctor.find_other_pane(sample(np.concatenate(list(stream(stage, instrument, 1)))))
+    assert finding is not None
+    assert finding.level == "warning"
+    assert finding.text.endswith("on a clock -35 ppm off")
+    level_db = float(finding.text.split("chirp, ")[1].split(" dB")[0])
+    assert -37 <= level_db <= -30
+    assert "clock" in finding.fix
+
+
+def test_nothing_else_is_another_pane(scene: Scene) -> None:
+    for name in ("idle", "tap", "drift", "interference", "hold", "palm", "drop"):
+        assert doctor.find_other_pane(sample(scene(name).frames[:400])) is None
 
 
 # -- baseline ------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from structlog.testing import capture_logs
 from tests.conftest import Scene
 from tests.unit.service.bench import PERIOD_NS, START_NS, TIMEOUT_NS, Clock, Keeper, Script, Step
 from touchd.config.schema import HealthSettings, Settings
+from touchd.detection.clock_skew import LONGEST, STRIDE
 from touchd.errors import DeviceLost
 from touchd.event import Event, HealthEvent, Latency, TouchEvent
 from touchd.frame import Acquisition, Frame
@@ -427,6 +428,16 @@ def test_scan_rate_for_a_reader(scene: Scene, model: Model) -> None:
     bench.service.run()
     assert [rate_hz for _, rate_hz, _ in bench.source.asked] == [50, 125]
     assert 3e9 < bench.source.asked[1][0] <= 3.1e9 + 2 * PERIOD_NS
+
+
+def test_scan_rate_while_another_pane_is_looked_for(scene: Scene, model: Model) -> None:
+    """At another rate frames would begin at other times of its period: the rate falls once none is found."""
+    bench = Scanned(scene, model, 1300)
+    bench.pipeline.detector.other_chirp.listens = True
+    bench.service.run()
+    ((fell_ns, idle_hz, _),) = bench.source.asked
+    assert idle_hz == 50
+    assert fell_ns > STRIDE * LONGEST * PERIOD_NS
 
 
 def test_idle_bus(scene: Scene, model: Model) -> None:
