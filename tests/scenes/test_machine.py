@@ -115,10 +115,13 @@ def test_another_pane_hides_no_touch(finger: str, level_db: float, instrument: I
     stage = empty_stage(11.0, seed=2633000)
     stage.other_panes.append(OtherPane(level_db))
     taps(stage, finger, 6.0, 10.5)
-    found = score(stage, play(stage, instrument))
+    outcome = play(stage, instrument)
+    found = score(stage, outcome)
     assert found.touches > 6
     assert (found.missed, found.ghosts, found.split) == (0, 0, 0)
     assert np.median(np.hypot(*found.error_mm.T)) < 0.2
+    assert [reason for reason, _ in outcome.notices] == ["another chirp"]
+    assert outcome.notices[0][1]["clocks_ppm"] == pytest.approx(20.0, abs=1.0)
 
 
 def test_another_pane_that_is_switched_on_and_off(instrument: Instrument) -> None:

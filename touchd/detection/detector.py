@@ -64,7 +64,7 @@ class Detector:
         self.gate = Gate(settings.gate)
         self.liveness = Liveness()
         self._baseline = Baseline(acquisition, settings.baseline, dtype)
-        self._interference = Interference(acquisition, self._baseline, self.gate, dtype)
+        self._interference = Interference(acquisition, self._baseline, self.gate, self._tell_other_chirp, dtype)
         self._tones, self.other_chirp = self._interference.tones, self._interference.other_chirp
         self._relearn = Relearn(shape, settings.baseline, dtype)
         self._stuck = Stuck(shape, dtype)
@@ -184,7 +184,7 @@ class Detector:
                 self._interference.update(detection.t_ns, detection.residual)
             if not alive:
                 if other.known or other.listens:
-                    self._follow_other(detection, touched=False)
+                    other.follow(detection.residual, self.sequence, detection.energy, touched=False)
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
             return
@@ -197,7 +197,7 @@ class Detector:
                 self._tones.keep(detection.residual)
         finger, energy = found or alive, detection.energy
         if not finger:
-            self._follow_other(detection, touched=True)
+            other.follow(detection.residual, self.sequence, detection.energy, touched=True)
         if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.
             self._baseline.follow(quickly=moved)
@@ -214,12 +214,9 @@ class Detector:
             else:
                 self._learn()
 
-    def _follow_other(self, detection: Detection, *, touched: bool) -> None:
-        """Learn another pane's chirp from a frame that no finger explains."""
-        other = self.other_chirp
-        if other.follow(detection.residual, self.sequence, detection.energy, touched=touched):
-            clocks_ppm = 1e6 * other.skew_ns / self._pace.period_ns
-            self._notify(OTHER_CHIRP, {"frame": self.sequence, "clocks_ppm": round(clocks_ppm, 1)})
+    def _tell_other_chirp(self, skew_ns: float) -> None:
+        clocks_ppm = 1e6 * skew_ns / self._pace.period_ns
+        self._notify(OTHER_CHIRP, {"frame": self.sequence, "clocks_ppm": round(clocks_ppm, 1)})
 
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import DTypeLike, NDArray
@@ -41,13 +43,18 @@ class Interference:
     baseline : Baseline
     gate : Gate
         Decides again about what is left.
+    on_found : callable
+        Called with the time, ns, by which another pane's chirp arrives earlier in each frame, once it is found.
     dtype : type
         Of all arrays.
     """
 
-    def __init__(self, acquisition: Acquisition, baseline: Baseline, gate: Gate, dtype: DTypeLike) -> None:
+    def __init__(
+        self, acquisition: Acquisition, baseline: Baseline, gate: Gate, on_found: Callable[[float], None],
+        dtype: DTypeLike,
+    ) -> None:  # fmt: skip
         self.tones = Tones(acquisition, dtype)
-        self.other_chirp = OtherChirp(acquisition, dtype)
+        self.other_chirp = OtherChirp(acquisition, dtype, on_found)
         self._impulses = [Impulses(acquisition, dtype, above=above) for above in (0.0, *_BESIDE)]
         self._baseline, self._gate = baseline, gate
         self._sounds, self._sounded_ns = 0.0, 0  # share of the last time that was louder below the band than noise

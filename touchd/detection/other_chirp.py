@@ -8,6 +8,8 @@ one waveform in all frames, and its delay changes by one number, the clock skew:
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
@@ -43,11 +45,18 @@ class OtherChirp:
     acquisition : Acquisition
     dtype : type
         Of the residuals.
+    on_found : callable
+        Called with the time, ns, by which one that is found arrives earlier in each frame.
     """
 
-    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> None:
+    def __init__(
+        self,
+        acquisition: Acquisition,
+        dtype: DTypeLike = np.float32,
+        on_found: Callable[[float], None] = lambda _skew_ns: None,
+    ) -> None:
         channels, samples = acquisition.shape
-        self._samples, self._rate_hz = samples, acquisition.sample_rate_hz
+        self._samples, self._rate_hz, self._on_found = samples, acquisition.sample_rate_hz, on_found
         self._clock = ClockSkew(acquisition, dtype)
         low, high = 0.8 * acquisition.chirp.band_hz[0], min(acquisition.highest_hz, 0.48 * self._rate_hz)
         self._taps = _interpolations(low / self._rate_hz / FINE, high / self._rate_hz / FINE)
@@ -87,11 +96,6 @@ class OtherChirp:
     def end(self) -> None:
         """Go on looking for it in untouched frames if the plate took long to be steady."""
         self.listens |= self._clock.heard >= LISTENED and not self.known
-
-    @property
-    def skew_ns(self) -> float:
-        """Time by which it arrives earlier in each frame."""
-        return self._skew / self._rate_hz * 1e9
 
     def take_out(self, counts: Counts, number: int) -> Signal | None:
         """Return the counts, (channels, samples), of a frame from which the plate is learned, less another chirp.
@@ -133,8 +137,8 @@ class OtherChirp:
         self._least_energy = min(self._least_energy, noise_energy)
         self.listens |= self._clock.works and noise_energy > RAISED * self._least_energy
 
-    def follow(self, left: Signal, number: int, energy: float, *, touched: bool) -> bool:
-        """Learn from a frame that no finger explains; return whether another chirp is found.
+    def follow(self, left: Signal, number: int, energy: float, *, touched: bool) -> None:
+        """Learn from a frame that no finger explains.
 
         Parameters
         ----------
@@ -156,19 +160,20 @@ class OtherChirp:
             if not changed:
                 self._learn(left)
         if not self._clock.hear(whole, number):
-            return False
+            return
         skew, last = self._clock.told(), self._clock.heard == LONGEST
         found = skew is not None and not self.known
         if skew is not None:
             self._skew = skew
             if found or changed:
                 self._learn_at_once()
+            if found:
+                self._on_found(1e9 * skew / self._rate_hz)
         elif last:
             self.known, self._least_energy = False, np.inf
         if last or found:
             self.listens = False
             self._clock.forget()
-        return found
 
     def _learn_at_once(self) -> None:
         """Learn the waveform from the frames that told the skew, but for those that a finger may have touched."""
