@@ -111,7 +111,9 @@ class Pipeline:
                 contacts = tracker.track(frame.t_ns, touches, found.palm) if touches or tracker.tracks else _NO_CONTACTS
             moving = any(contact.phase != "hold" for contact in contacts) if contacts else False
             # Follow, freeze or relearn the baseline: the one feedback.
-            self.detector.adapt(detection, bool(touches), found.departure, tracker.alive, found.plate_moved, moving)
+            self.detector.adapt(
+                detection, bool(touches), found.departure, tracker.alive, found.plate_moved, moving, self.screen_off
+            )
         counters, outcome = self.counters, found.outcome
         counters.by_outcome[outcome._value_] += 1  # to index by an enum takes four times as long
         if detection.lost:

@@ -154,8 +154,9 @@ class Detector:
         return self._interference.clean(detection, listens=not (self._alive and self._listened))
 
     def adapt(
-        self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False, moving: bool = False
-    ) -> None:
+        self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False,
+        moving: bool = False, asleep: bool = False,
+    ) -> None:  # fmt: skip
         """Follow, freeze or relearn the baseline, by what came of a measured frame.
 
         Parameters
@@ -172,6 +173,8 @@ class Detector:
             Whether its residual is the plate's own movement, which the baseline follows quickly.
         moving : bool
             Whether a contact moves, lands or lifts.
+        asleep : bool
+            Whether fingers are not looked for.
         """
         self._alive, other = alive, self.other_chirp
         if detection.outcome is _UNTOUCHED:
@@ -196,7 +199,7 @@ class Detector:
             if alive and not detection.hits:
                 self._tones.keep(detection.residual)
         finger, energy = found or alive, detection.energy
-        if not finger:
+        if not finger and not asleep:
             other.follow(detection.residual, self.sequence, detection.energy, touched=True)
         if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.
