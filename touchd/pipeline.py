@@ -112,8 +112,9 @@ class Pipeline:
             moving = any(contact.phase != "hold" for contact in contacts) if contacts else False
             # Follow, freeze or relearn the baseline: the one feedback.
             self.detector.adapt(
-                detection, bool(touches), found.departure, tracker.alive, found.plate_moved, moving, self.screen_off
-            )
+                detection, bool(touches), found.departure, tracker.alive, found.plate_moved, moving,
+                asleep=self.screen_off,
+            )  # fmt: skip
         counters, outcome = self.counters, found.outcome
         counters.by_outcome[outcome._value_] += 1  # to index by an enum takes four times as long
         if detection.lost:

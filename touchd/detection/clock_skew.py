@@ -1,7 +1,7 @@
 """The clock skew of another pane's chirp, from the cross-spectra of frames.
 
 Frames that hold one waveform at a growing delay have cross-spectra whose phase is linear in frequency and in the time
-between the frames. What a finger or the plate's temperature changes stands: its phase is none.
+between the frames. What a finger or the plate's temperature changes keeps its phase.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from touchd.frame import Acquisition
 Signal = NDArray[np.floating]
 
 STRIDE = 2
-"""Every second frame is taken."""
+"""Every second frame is added."""
 LISTENED, LONGEST = 128, 512
-"""Frames taken that tell a large skew and the least one: 2 and 8 s at 125 a second."""
+"""Frames added that tell a large skew and the least one: 2 and 8 s at 125 a second."""
 _LAGS = 2 ** np.arange(8)
-"""Cross-spectra are taken with the frames 1 to 128 times `STRIDE` before."""
+"""Cross-spectra are computed with the frames 1 to 128 times `STRIDE` before."""
 _FEWEST_BINS, _MOST_BINS = 8, 64
 """Of the chirp's band. With fewer a tone would pass for a chirp; more cost more and tell no more."""
 LARGEST, _SKEWS, _POINTS = 0.4, 801, 8192
@@ -55,19 +55,19 @@ class ClockSkew:
         self._frames: Signal = np.zeros((kept, channels, samples), dtype)
         self._spectra = np.zeros((kept, channels, bins), np.result_type(dtype, np.complex64))
         self._powers: Signal = np.zeros((kept, bins), dtype)
-        self.heard = 0
-        """Frames taken."""
+        self.added = 0
+        """Frames added since the last `forget`."""
         self.forget()
 
     def forget(self) -> None:
-        """Start again with the next frame."""
+        """Drop all cross-spectra and frames."""
         self._numbers[:] = -1
-        self.heard = 0
+        self.added = 0
         self._common = np.zeros((len(_LAGS), len(self._band)), np.complex128)
         self._power = np.full((len(_LAGS), len(self._band)), np.finfo(float).tiny)
 
-    def hear(self, residual: Signal, number: int) -> bool:
-        """Take a frame's residual, (channels, samples); return whether it is time to ask `told`."""
+    def add(self, residual: Signal, number: int) -> bool:
+        """Add the cross-spectra of a frame's residual, (channels, samples); return whether an `estimate` is due."""
         if number % STRIDE or not self.works:
             return False
         number //= STRIDE
@@ -79,14 +79,14 @@ class ClockSkew:
         before = before[there]
         self._common[there] += np.einsum("cb,lcb->lb", spectrum, self._spectra[before].conj())
         self._power[there] += np.sqrt(power * self._powers[before])
-        self.heard += 1
-        return self.heard % LISTENED == 0
+        self.added += 1
+        return self.added % LISTENED == 0
 
-    def told(self) -> float | None:
-        """Return the skew in samples a frame, positive if the waveform arrives earlier; None if there is none."""
+    def estimate(self) -> float | None:
+        """Return the skew in samples a frame, positive if the waveform arrives earlier; None unless one stands out."""
         skews = np.linspace(-LARGEST, LARGEST, _SKEWS)
         shares = np.zeros(_SKEWS)
-        lags = _LAGS[self.heard >= 2 * _LAGS].tolist()
+        lags = _LAGS[self.added >= 2 * _LAGS].tolist()
         for lag, common in zip(lags, self._common / self._power, strict=False):
             turns = lag * skews / self._samples  # per bin
             at = np.round(turns * self._apart * _POINTS).astype(np.int64) % _POINTS
@@ -101,7 +101,7 @@ class ClockSkew:
         return float(skews[best] + min(max(between, -0.5), 0.5) * (skews[1] - skews[0])) / STRIDE
 
     def frames(self) -> tuple[list[int], Signal]:
-        """Return the last frames taken: their numbers, (n,), and residuals, (n, channels, samples)."""
+        """Return the last frames added: their numbers, (n,), and residuals, (n, channels, samples)."""
         kept = np.flatnonzero(self._numbers >= 0)
         kept = kept[self._numbers[kept].argsort()]
         return (self._numbers[kept] * STRIDE).tolist(), self._frames[kept]

@@ -80,7 +80,7 @@ class Interference:
         for each in self._impulses:
             each.update(residual)
         baseline = self._baseline
-        self.other_chirp.hear(self._gate.noise_energy)
+        self.other_chirp.watch(self._gate.noise_energy)
         if baseline.awaits_sound:
             energy = baseline.residual_energy() + baseline.delay_energy
             self._hear(t_ns, loud=baseline.sound.tells(residual, energy))

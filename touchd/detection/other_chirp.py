@@ -95,7 +95,7 @@ class OtherChirp:
 
     def end(self) -> None:
         """Go on looking for it in untouched frames if the plate took long to be steady."""
-        self.listens |= self._clock.heard >= LISTENED and not self.known
+        self.listens |= self._clock.added >= LISTENED and not self.known
 
     def take_out(self, counts: Counts, number: int) -> Signal | None:
         """Return the counts, (channels, samples), of a frame from which the plate is learned, less another chirp.
@@ -132,7 +132,7 @@ class OtherChirp:
         self._at_ends[...] = residual[:, self._ends]
         residual[:, self._ends] = 0
 
-    def hear(self, noise_energy: float) -> None:
+    def watch(self, noise_energy: float) -> None:
         """Look for another chirp if the mean energy of untouched frames, counts squared, has grown."""
         self._least_energy = min(self._least_energy, noise_energy)
         self.listens |= self._clock.works and noise_energy > RAISED * self._least_energy
@@ -159,9 +159,9 @@ class OtherChirp:
             changed = touched and energy > float(np.vdot(self._part, self._part))
             if not changed:
                 self._learn(left)
-        if not self._clock.hear(whole, number):
+        if not self._clock.add(whole, number):
             return
-        skew, last = self._clock.told(), self._clock.heard == LONGEST
+        skew, last = self._clock.estimate(), self._clock.added == LONGEST
         found = skew is not None and not self.known
         if skew is not None:
             self._skew = skew

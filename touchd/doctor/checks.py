@@ -151,8 +151,8 @@ def find_other_pane(sample: Sample) -> Finding | None:
     """Look for another pane's chirp, on a clock of its own; needs frames of 2 s at 125 a second."""
     clock, changes = ClockSkew(sample.acquisition, np.float64), sample.heard - sample.untouched
     for change, number in zip(changes, sample.sequence.tolist(), strict=True):
-        clock.hear(change, number)
-    skew = clock.told() if clock.heard >= LISTENED else None
+        clock.add(change, number)
+    skew = clock.estimate() if clock.added >= LISTENED else None
     if skew is None:
         return None
     period_s = float(np.median(np.diff(sample.t_ns) / np.maximum(np.diff(sample.sequence), 1))) * 1e-9

@@ -19,7 +19,7 @@ from touchd.twin.physics.finger import Contact
 Floats = NDArray[np.float64]
 
 _WIDER, _HIGHER = 0.9, 1.05
-"""It is not of the same size."""
+"""Its size in that of the plate: other resonances."""
 _FINGER = 0.4, 0.55, 70.0
 """Place on it, in its width and height, and area in mm^2, of a fingertip."""
 
