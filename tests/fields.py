@@ -82,10 +82,11 @@ def features_of(bins: np.ndarray) -> np.ndarray:
     return np.asarray(np.stack([bins.real, bins.imag], axis=1).ravel())
 
 
+@cache
 def untouched(stretch: float = 0.0, delay_s: float = 0.0, seed: int = 1) -> np.ndarray:
-    """The untouched plate, (channels, samples): delayed and dispersed echoes of the chirp, stretched exactly.
+    """The untouched plate, (channels, samples), not to be written to: delayed and dispersed echoes of the chirp.
 
-    A plate whose resonances have risen by a share answers at f what it answered at f / (1 + share).
+    It is stretched exactly. A plate whose resonances have risen by a share answers at f what it answered at f / (1 + share).
     """
     rng = np.random.default_rng(seed)
     n, chirp = 2048, RIG.chirp
@@ -96,7 +97,9 @@ def untouched(stretch: float = 0.0, delay_s: float = 0.0, seed: int = 1) -> np.n
     share = rng.normal(size=way_mm.shape) * np.exp(-way_mm / 500)
     answer = (share * np.exp(-1j * wavenumber_rad_mm(f_hz / (1 + stretch)) * way_mm)).sum(axis=1)
     heard = np.fft.irfft(np.fft.rfft(emitted) * answer * np.exp(-2j * np.pi * f_hz * delay_s), n)
-    return np.asarray(1000 * heard[:, : RIG.samples])
+    found = np.asarray(1000 * heard[:, : RIG.samples])
+    found.flags.writeable = False
+    return found
 
 
 @cache

@@ -10,13 +10,14 @@ no disc needs an eigenproblem of its own. What holds an edge is more such vector
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
-from touchd.calibration.loads import LEAST_RATIO, SCATTERER, Discs, Guess, Lines, cell_vectors, disc_vectors, vectors_of
-from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, ReducedPlate, Shape
+from touchd.calibration.loads import LEAST_RATIO, SCATTERER, Guess, Lines, cell_vectors, disc_vectors, vectors_of
+from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, ReducedPlate
 from touchd.twin.physics import legendre
 from touchd.twin.physics.transducer import CELL_MASS, CELL_STIFFNESS, CELLS, MEANS, OTHER_BENDING
 
@@ -102,26 +103,29 @@ class DiscResponse:
         `gyration2`, `radius`, `stretch`; of single discs `x0`, `y0`, `x1` .. of the centres, `stiffness 0` .. and, of
         the beads, `bead x0` .. and `bead mass 0` .., all in SI units; and those of `Edges.values`.
         """
-        found: dict[str, Complex] = {}
         d, D = self._discs, len(self._discs.centres_m)
-        for what, axis in product(("centres_m", "beads_m"), (0, 1)):
-            prefix = ("bead " if what == "beads_m" else "") + "xy"[axis]
-            wanted = [k for k in range(D) if f"{prefix}{k}" in names]
-            if not wanted:
-                continue
-            across = self._across(d, what, _PLACE_STEP_M, np.eye(2)[axis])
-            for k in wanted:
-                own = np.zeros_like(across)  # the other discs' vectors stay
-                own[:, k : MEANS * D : D] = across[:, k : MEANS * D : D]
-                found[f"{prefix}{k}"] = self._by_vectors(own)
+        moves = {
+            prefix + axis: (field, _PLACE_STEP_M, along)
+            for prefix, field in (("", "centres_m"), ("bead ", "beads_m"))
+            for axis, along in zip("xy", np.eye(2), strict=True)
+            if any(f"{prefix}{axis}{k}" in names for k in range(D))
+        }
+        steps = {"radius": ("radius_m", 1e-3 * d.radius_m), "stretch": ("stretch_per_m", _STRETCH_STEP_PER_M)}
+        moves |= {name: (*step, np.array(1.0)) for name, step in steps.items() if name in names}
+        across = self._across_discs(moves)
+        found: dict[str, Complex] = {}
+        for axis, k in product(moves.keys() - steps.keys(), range(D)):
+            if f"{axis}{k}" in names:
+                own = np.zeros_like(across[axis])  # the other discs' vectors stay
+                own[:, k : MEANS * D : D] = across[axis][:, k : MEANS * D : D]
+                found[f"{axis}{k}"] = self._by_vectors(own)
         for k, at in product(range(len(d.scatterers)), range(5)):
             if (name := f"scatterer {SCATTERER[at]} {k}") in names:
                 found[name] = self._by_scatterer(k, at)
         if "radius" in names:
-            across = self._across(d, "radius_m", 1e-3 * d.radius_m)
-            found["radius"] = self._by_vectors(across) + d.radius_m / 2 * self._weighed(self._by_face)
+            found["radius"] = self._by_vectors(across["radius"]) + d.radius_m / 2 * self._weighed(self._by_face)
         if "stretch" in names:
-            found["stretch"] = self._by_vectors(self._across(d, "stretch_per_m", _STRETCH_STEP_PER_M))
+            found["stretch"] = self._by_vectors(across["stretch"])
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
         for k in range(D):
@@ -140,8 +144,11 @@ class DiscResponse:
         if at >= 3:
             return -self._weighed(self._per_scatterer[at - 3], MEANS * D + len(CELL_MASS) * CELLS * k)
         along = np.zeros_like(self._discs.scatterers)
-        along[k, at] = 1.0
-        return self._by_vectors(self._across(self._discs, "scatterers", _PLACE_STEP_M, along))
+        along[k, at] = _PLACE_STEP_M
+        ends = (self._discs._replace(scatterers=self._discs.scatterers + by) for by in (along, -along))
+        above, below = (cell_vectors(self._plate, self._shape, end) for end in ends)
+        (across,) = self._across([(above - below) / (2 * _PLACE_STEP_M)], MEANS * D)
+        return self._by_vectors(across)
 
     def _weighed(self, load: Floats | Complex, first: int = 0) -> Complex:
         """Return the emitter's and each receiver's answer times loads (F, k) of the vectors from `first`, (R, F)."""
@@ -176,27 +183,38 @@ class DiscResponse:
         n, D, F = self._answers.shape
         return _product(shapes, self._answers.reshape(n, D * F)).reshape(-1, D, F)
 
-    def _across(self, part: Shape | Discs, name: str, step: float, along: Floats | float = 1.0) -> Complex:
-        """Return what the derivative of the discs' vectors finds of the answer to each disc, shape (F, V', D).
+    def _across(self, changes: Sequence[Floats], first: int = 0) -> list[Complex]:
+        """Return what each change of the vectors from `first` on, each (n, k), finds of the answer to each disc.
 
-        It is that by the field of this name of plate or discs, which is moved by `step` along a direction, both ways.
-        V' are the discs' vectors and the scatterers'.
+        Each result has the shape (F, V', D); V' are the discs' vectors and the scatterers'.
         """
         # What stays as it is need not be computed.
-        cells = name == "scatterers"
-        vectors = vectors_of if isinstance(part, Shape) else cell_vectors if cells else disc_vectors
-        ends = []
-        for by in (step, -step):
-            moved = part._replace(**{name: getattr(part, name) + by * along})
-            shape, discs = (moved, self._discs) if isinstance(moved, Shape) else (self._shape, moved)
-            ends.append(vectors(self._plate, shape, discs))
-        change = (ends[0] - ends[1]) / (2 * step)
-        there = np.flatnonzero(change.any(axis=0))
-        F, _, D = self._turn.shape
-        found = np.zeros((F, self._held, D), complex)
-        heard = self._heard(self._plate.turned(change[:, there], self._bare).T)
-        found[:, there + (MEANS * D if cells else 0)] = heard.transpose(2, 0, 1)
-        return found
+        there = [np.flatnonzero(change.any(axis=0)) for change in changes]
+        every = np.concatenate([change[:, at] for change, at in zip(changes, there, strict=True)], axis=1)
+        heard = self._heard(self._plate.turned(every, self._bare).T).transpose(2, 0, 1)
+        found = np.zeros((len(changes), len(heard), self._held, heard.shape[2]), complex)
+        ends = np.cumsum([len(at) for at in there])[:-1]
+        for across, at, own in zip(found, there, np.split(heard, ends, axis=1), strict=True):
+            across[:, first + at] = own
+        return list(found)
+
+    def _across_discs(self, moves: dict[str, tuple[str, float, Floats]]) -> dict[str, Complex]:
+        """Return, for each move, what the derivative of the discs' vectors finds, as `_across` does.
+
+        A move is a field of the discs, the step by which it is moved both ways, and the direction.
+        """
+        if not moves:
+            return {}
+        d = self._discs
+        ends = [
+            d._replace(**{field: getattr(d, field) + by * along})
+            for field, step, along in moves.values()
+            for by in (step, -step)
+        ]
+        vectors = disc_vectors(self._plate, self._shape, ends)
+        steps = np.array([step for _, step, _ in moves.values()])
+        changes = (vectors[::2] - vectors[1::2]) / (2 * steps[:, None, None])
+        return dict(zip(moves, self._across(changes), strict=True))
 
     def _by_vectors(self, across: Complex) -> Complex:
         """Return the derivative (R, F) by a change of discs' vectors that find `across` of the answers."""
@@ -225,25 +243,31 @@ class DiscResponse:
             found["loss"] = by_loss
         if "slope" in names:
             found["slope"] = by_loss * np.log(np.maximum(self._nu.real / self._loss.middle_rad_s, LEAST_RATIO))
+        in_reference = [
+            _product(turn, own.reshape(len(own), -1)).reshape(own.shape)
+            for turn, own in zip(self._bare.turns, self._plate.to_classes(x), strict=True)
+        ]
         for name in names & set(SHAPE_NAMES):
             value = getattr(self._shape, name)
             if name == "speed2":
                 found[name] = -strain / value
                 continue
             total = np.zeros((D - 1, len(self._nu)), dtype=complex)
-            slopes, parts = self._plate.slopes(self._shape, name), self._plate.to_classes(x)
-            for slope, turn, own in zip(slopes, self._bare.turns, parts, strict=True):
+            for slope, own in zip(self._plate.slopes(self._shape, name), in_reference, strict=True):
                 if slope is None:
                     continue
                 K, M = slope
-                y = stiff * _product(turn.T @ K @ turn, own[:, 0])
+                y = stiff * _product(K, own[:, 0])
                 if M.any():
-                    y -= self._nu**2 * _product(turn.T @ M @ turn, own[:, 0])
+                    y -= self._nu**2 * _product(M, own[:, 0])
                 total -= (y[:, None] * own[:, 1:]).sum(axis=0)
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
             if name in ("width", "height") or (name == "h" and len(self._discs.scatterers)):
-                total += self._by_vectors(self._across(self._shape, name, 1e-5 * value))
+                ends = (self._shape._replace(**{name: (1 + by) * value}) for by in (1e-5, -1e-5))
+                above, below = (vectors_of(self._plate, end, self._discs) for end in ends)
+                (across,) = self._across([(above - below) / (2e-5 * value)])
+                total += self._by_vectors(across)
             found[name] = total
         return found
 

@@ -12,6 +12,7 @@ stiffness has the plate's loss factor, as in those modes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate, Shap
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import Attachment, Support
-from touchd.twin.physics.transducer import scatterer_vectors, vectors_at
+from touchd.twin.physics.transducer import MEANS, scatterer_vectors, vectors_at
 
 LEAST_RATIO = 0.05
 """Of frequency over the band's middle: below it the loss stays as it is."""
@@ -87,15 +88,17 @@ class Loss(NamedTuple):
 
 def vectors_of(plate: ReducedPlate, shape: Shape, discs: Discs) -> Floats:
     """Return the discs and the scatterers in the reference's modes, (n, MEANS D + C L)."""
-    return np.concatenate([disc_vectors(plate, shape, discs), cell_vectors(plate, shape, discs)], axis=1)
+    return np.concatenate([disc_vectors(plate, shape, [discs])[0], cell_vectors(plate, shape, discs)], axis=1)
 
 
-def disc_vectors(plate: ReducedPlate, shape: Shape, discs: Discs) -> Floats:
-    """Return the discs in the reference's modes, mean by mean, shape (n, MEANS D)."""
-    size = shape.width, shape.height
-    found = vectors_at(discs.centres_m, discs.beads_m, discs.radius_m, size, plate.counts, plate.sums)
-    found[plate.in_plane] *= discs.stretch_per_m
-    return np.asarray(np.sqrt(size[0] * size[1]) * found)
+def disc_vectors(plate: ReducedPlate, shape: Shape, several: Sequence[Discs]) -> Floats:
+    """Return each of k guesses of the discs in the reference's modes, mean by mean, shape (k, n, MEANS D)."""
+    size, k, D = (shape.width, shape.height), len(several), len(several[0].centres_m)
+    centres_m, beads_m = (np.concatenate([getattr(one, name) for one in several]) for name in ("centres_m", "beads_m"))
+    radii_m = np.repeat([one.radius_m for one in several], D)
+    found = vectors_at(centres_m, beads_m, radii_m, size, plate.counts, plate.sums).reshape(-1, MEANS, k, D)
+    found[plate.in_plane] *= np.array([one.stretch_per_m for one in several])[:, None]
+    return np.asarray(np.sqrt(size[0] * size[1]) * found.transpose(2, 0, 1, 3).reshape(k, -1, MEANS * D))
 
 
 def cell_vectors(plate: ReducedPlate, shape: Shape, discs: Discs) -> Floats:

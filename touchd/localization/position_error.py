@@ -166,7 +166,8 @@ def _tables(atlas: Atlas) -> NDArray[np.float64]:
             (parts[..., 0, :] + np.complex64(1j) * parts[..., 1, :]).reshape(*fields.shape[:2], -1).swapaxes(0, 1)
         )
         columns = np.stack([x, y, *(turned * one for one in (u, u * band, *second) for turned in (1, 1j))], axis=1)
-        information = (columns.conj() @ columns.swapaxes(1, 2)).real.astype(np.float64)
+        parts = columns.view(nodes.dtype)  # side by side, so that a real product does
+        information = (parts @ parts.swapaxes(1, 2)).astype(np.float64)
         # A field of zeros, as of a plate without channels, tells nothing.
         empty = ~_regular(information)
         information[empty] = np.eye(information.shape[-1])
@@ -192,5 +193,5 @@ def _regular(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
     try:
         np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.matrix_rank(matrices) == matrices.shape[-1])
+        return np.asarray(np.linalg.matrix_rank(matrices, hermitian=True) == matrices.shape[-1])
     return np.ones(len(matrices), dtype=np.bool_)

@@ -62,7 +62,9 @@ def disc_average(
     `size_m` is width and height of the plate, `counts` are the polynomials along x and y, `rule` is the number of rings
     and of points of each: 3 rings of 8 are exact to 1e-8 while the disc is under a third of a wavelength.
     """
-    return _weighed(centre_m, radius_m, size_m, counts, disc_rule(*rule))
+    x, y, w = disc_rule(*rule)
+    (found,) = _weighed(centre_m, radius_m, size_m, counts, (x, y), w)
+    return found
 
 
 def disc_moments(
@@ -74,8 +76,8 @@ def disc_moments(
     mean deflection leaves out, as far as the deflection is linear there.
     """
     x, y, w = disc_rule(4, 12)
-    first = _weighed(centre_m, radius_m, size_m, counts, (x, y, 2 * x * w))
-    return first, _weighed(centre_m, radius_m, size_m, counts, (x, y, 2 * y * w))
+    first, second = _weighed(centre_m, radius_m, size_m, counts, (x, y), 2 * x * w, 2 * y * w)
+    return first, second
 
 
 def _weighed(
@@ -83,26 +85,28 @@ def _weighed(
     radius_m: ArrayLike,
     size_m: tuple[float, float],
     counts: tuple[int, int],
-    rule: tuple[Floats, Floats, Floats],
-) -> Floats:
-    """Return sums over points of the unit disc, x and y, times their weights."""
+    points: tuple[Floats, Floats],
+    *weights: Floats,
+) -> list[Floats]:
+    """Return, for each of some weights, the sum over points of the unit disc, x and y, times these."""
     centre = np.asarray(centre_m, dtype=float)
     radius = np.asarray(radius_m, dtype=float)
-    x, y, w = rule
+    x, y = points
     px = values(centre[:, 0, None] + radius[:, None] * x, size_m[0], counts[0])
     py = values(centre[:, 1, None] + radius[:, None] * y, size_m[1], counts[1])
-    return np.asarray((px * w[:, None]).transpose(0, 2, 1) @ py)
+    return [np.asarray((px * w[:, None]).transpose(0, 2, 1) @ py) for w in weights]
 
 
 def rim_average(
-    centre_m: ArrayLike, radius_m: float, size_m: tuple[float, float], counts: tuple[int, int]
+    centre_m: ArrayLike, radius_m: ArrayLike, size_m: tuple[float, float], counts: tuple[int, int]
 ) -> tuple[Floats, Floats]:
     """Averages around rims of the products of polynomials times the outward normal's x and y.
 
-    Two arrays of shape (..., *counts), in 1/m, for centres (..., 2); other parameters as in `disc_average`.
+    Two arrays of shape (..., *counts), in 1/m, for centres (..., 2) and radii (...) or (); other parameters as in
+    `disc_average`.
     """
-    centre = np.asarray(centre_m, dtype=float)[..., None]
+    centre, radius = (np.asarray(each, dtype=float)[..., None] for each in (centre_m, radius_m))
     angle = 2 * np.pi * np.arange(32) / 32
-    px = values(centre[..., 0, :] + radius_m * np.cos(angle), size_m[0], counts[0]).swapaxes(-1, -2)
-    py = values(centre[..., 1, :] + radius_m * np.sin(angle), size_m[1], counts[1])
+    px = values(centre[..., 0, :] + radius * np.cos(angle), size_m[0], counts[0]).swapaxes(-1, -2)
+    py = values(centre[..., 1, :] + radius * np.sin(angle), size_m[1], counts[1])
     return (px * np.cos(angle) / 32) @ py, (px * np.sin(angle) / 32) @ py

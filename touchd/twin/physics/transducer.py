@@ -232,25 +232,30 @@ def scatterer_vectors(
 def vectors_at(
     centres_m: Floats,
     beads_m: Floats,
-    radius_m: float,
+    radius_m: float | Floats,
     size_m: tuple[float, float],
     counts: tuple[int, int],
     sums: Sums,
 ) -> Floats:
     """Return means of modes over D discs by which they drive and load the plate, shape (n, MEANS D), mean by mean.
 
+    The discs' radii are of shape (D,), or one for all.
+
     The outward rotation around the rim, and the two others there; under the disc the deflection, the two rotations, and
     the deflection's two moments; and the deflection under a bead `beads_m` from its centre, at most on the edge.
     """
-    rims = legendre.rim_average(centres_m, radius_m, size_m, counts)
-    xx, xy, yx, yy = [sums(field, rim) for field in (1, 2) for rim in rims]
-    radii = np.full(len(centres_m), radius_m)
+    radii = np.broadcast_to(np.asarray(radius_m), len(centres_m))
+    rims = legendre.rim_average(centres_m, radii, size_m, counts)
     under = legendre.disc_average(centres_m, radii, size_m, counts)
     moments = legendre.disc_moments(centres_m, radii, size_m, counts)
     places_m = np.clip(centres_m + beads_m, BEAD_M, np.array(size_m) - BEAD_M)
     beads = legendre.disc_average(places_m, np.full(len(centres_m), BEAD_M), size_m, counts)
-    means = [sums(field, under) for field in range(3)] + [sums(0, each) for each in (*moments, beads)]
-    return np.concatenate([xx + yy, xx - yy, xy + yx, *means], axis=1)
+    # One product for all means of a field: the modes' coefficients are much more than the discs' weights.
+    (w, *others), (xx, xy, mean_x), (yx, yy, mean_y) = (
+        np.split(sums(field, np.concatenate(weights)), len(weights), axis=1)
+        for field, weights in enumerate(((under, *moments, beads), (*rims, under), (*rims, under)))
+    )
+    return np.concatenate([xx + yy, xx - yy, xy + yx, w, mean_x, mean_y, *others], axis=1)
 
 
 def with_discs(omega_rad_s: Floats, vectors: Floats, layout: Layout, below_hz: float = np.inf) -> tuple[Floats, Floats]:
