@@ -124,6 +124,6 @@ def play(bus: Bus, rate_hz: float = RATE_HZ, step: int = SHOWN, **wrong: Any) ->
 
 
 if __name__ == "__main__":
-    wrong = next((fields for option, fields in WRONG.items() if option in sys.argv), {})
-    pace = (12 * RATE_HZ, 1) if "hurried" in sys.argv else (RATE_HZ, SHOWN)
-    play(Bus(sys.argv[1], keypad="keypad" in sys.argv), *pace, **wrong)
+    wrong: dict[str, Any] = next((fields for option, fields in WRONG.items() if option in sys.argv), {})
+    rate_hz, step = (40 * RATE_HZ, 1) if "hurried" in sys.argv else (RATE_HZ, SHOWN)
+    play(Bus(sys.argv[1], keypad="keypad" in sys.argv), rate_hz, step, **wrong)
