@@ -18,6 +18,8 @@ from touchd.event import Contact, Event, HealthEvent, Latency, Phase, PlateEvent
 from touchd.event import encode as encoded
 
 RATE_HZ = 125
+SHOWN = 5
+"""Publish each fifth frame alone: of more, too, a page gets the newest, and a frame in between costs as much as any."""
 BINS, CHANNELS = 49, 4
 WRONG = {
     "ill": {"reason": "channel 3 is dead"},
@@ -107,8 +109,8 @@ def five(frame: int, phase: Phase = "move") -> list[Contact]:
     ]  # fmt: skip
 
 
-def play(bus: Bus, rate_hz: float = RATE_HZ, **wrong: Any) -> None:
-    """Publish five fingers, at the rate of a DAQ or faster, and what is wrong."""
+def play(bus: Bus, rate_hz: float = RATE_HZ, step: int = SHOWN, **wrong: Any) -> None:
+    """Publish five fingers in each frame that is so many after the last, and what is wrong."""
     begin_s, frame = time.monotonic(), 0
     while True:
         bus.poll()
@@ -117,10 +119,11 @@ def play(bus: Bus, rate_hz: float = RATE_HZ, **wrong: Any) -> None:
             bus.spectrum(frame)
         if frame % RATE_HZ == 0:
             bus.health(frame, **wrong)
-        frame += 1
+        frame += step
         time.sleep(max(0.0, begin_s + frame / rate_hz - time.monotonic()))
 
 
 if __name__ == "__main__":
-    wrong = next((fields for option, fields in WRONG.items() if option in sys.argv), {})
-    play(Bus(sys.argv[1], keypad="keypad" in sys.argv), 12 * RATE_HZ if "hurried" in sys.argv else RATE_HZ, **wrong)
+    wrong: dict[str, Any] = next((fields for option, fields in WRONG.items() if option in sys.argv), {})
+    rate_hz, step = (40 * RATE_HZ, 1) if "hurried" in sys.argv else (RATE_HZ, SHOWN)
+    play(Bus(sys.argv[1], keypad="keypad" in sys.argv), rate_hz, step, **wrong)

@@ -24,7 +24,7 @@ from tests.needs import need
 if find_spec("playwright") is None:
     need(False, "playwright, of the extra dev")
 
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 from playwright.sync_api import TimeoutError as Late
 
 from tests.processes import PATIENCE_S, ROOT, environment, started
@@ -222,17 +222,17 @@ def tap_until_good(opened: Page, count: int) -> None:
     raise AssertionError(opened.locator(".tapped").text_content())
 
 
-@pytest.fixture
-def follow() -> str:
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
     need(shutil.which(CHROMIUM) is not None, "Debian's chromium")
-    return FOLLOW
+    with chromium() as found:
+        yield found
 
 
-def test_no_wizard(tmp_path: Path, follow: str) -> None:
+def test_no_wizard(tmp_path: Path, browser: Browser) -> None:
     """Without a wizard the page says what to start; with one it lives, and says why a fit or a tap is bad."""
-    assert follow
     rig = Rig(tmp_path)
-    with rig.serve() as server, chromium() as browser, page(browser, server.url) as opened:
+    with rig.serve() as server, page(browser, server.url) as opened:
         expect(opened.locator("#views a")).not_to_have_count(0)
         opened.locator("#views a", has_text="Calibrate").click()
         expect(opened.get_by_role("alert")).to_contain_text("systemctl start touchd-wizard")
@@ -293,10 +293,10 @@ def edges(rig: Rig, opened: Page) -> None:
     opened.get_by_role("button", name="1 Measures").click()
 
 
-def test_whole_wizard(tmp_path: Path, follow: str) -> None:
+def test_whole_wizard(tmp_path: Path, browser: Browser) -> None:
     """From measures to a model in use and taps; each process is killed on the way, and all goes on."""
     rig = Rig(tmp_path)
-    with ExitStack() as stack, chromium() as browser:
+    with ExitStack() as stack:
         daemon = stack.enter_context(rig.daemon())
         wizard = stack.enter_context(rig.wizard())
         first = stack.enter_context(rig.serve())
@@ -327,7 +327,7 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
         second = stack.enter_context(rig.serve())
         with page(browser, second.url, high=1400) as opened:
             opened.expose_function("finger", rig.press)
-            opened.evaluate(follow, SCREEN_MM)
+            opened.evaluate(FOLLOW, SCREEN_MM)
             expect(opened.locator("#views a")).not_to_have_count(0)
             opened.locator("#views a", has_text="Calibrate").click()
             expect(opened.locator(".fitted .word")).to_have_text("Good", timeout=2 * PATIENCE_MS)
@@ -449,14 +449,13 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             expect(opened.locator(".fingers tbody tr")).to_contain_text("60.")
 
 
-def test_training(tmp_path: Path, follow: str) -> None:
+def test_training(tmp_path: Path, browser: Browser) -> None:
     """A training outlives its tab and the page's server, tells progress and log, is stopped, and says why it fails."""
-    assert follow
     need(find_spec("torch") is not None, "PyTorch, of the extra train")
     rig, touches = Rig(tmp_path), tmp_path / "touches.npz"
     with started("simulate", "touches", "-o", touches, "--count", 120, "--jobs", 1) as simulated:
         assert simulated.wait(PATIENCE_S) == 0
-    with rig.wizard(), chromium() as browser:
+    with rig.wizard():
         with rig.serve() as server, page(browser, server.url) as opened:
             broken = tmp_path / "none.npz"
             begin_training(opened, broken)

@@ -17,7 +17,7 @@ from tests.needs import need
 from tests.processes import PATIENCE_S, started
 from tests.system.web.bus import WRONG
 from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, bus, chromium, page, web
-from tests.system.web.wizard import STATES, wizard
+from tests.system.web.wizard import STATES, Wizard, wizard
 from touchd.localization.model import default_model_path
 
 STATUS = ".state-word"
@@ -82,6 +82,8 @@ ACCOUNTED = """() => {
     return shown.length > 1 && Math.abs(off) <= shown.length;
 }"""
 """Whether the frames of the live budget are, but for rounding, all that there were in the second."""
+POLLED_MS = 100
+"""Between two looks at what takes seconds; without it Chromium looks at each frame."""
 expect.set_options(timeout=PATIENCE_MS)
 
 
@@ -93,8 +95,23 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def server(address: str) -> Iterator[Web]:
-    with web(address, TOUCHD_INPUT__SCREEN_MM="20,30,160,100") as found:
+def listening(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Wizard]]:
+    """A wizard, and its socket."""
+    path = tmp_path_factory.mktemp("wizard") / "socket"
+    with wizard(path) as found:
+        yield path, found
+
+
+@pytest.fixture
+def told(listening: tuple[Path, Wizard]) -> Wizard:
+    """The wizard of `server`, which knows nothing and was asked for nothing."""
+    listening[1].forget()
+    return listening[1]
+
+
+@pytest.fixture(scope="module")
+def server(address: str, listening: tuple[Path, Wizard]) -> Iterator[Web]:
+    with web(address, "--wizard", listening[0], TOUCHD_INPUT__SCREEN_MM="20,30,160,100") as found:
         yield found
 
 
@@ -329,13 +346,9 @@ def test_accessible(browser: Browser, tmp_path: Path) -> None:
             expect(opened.locator(f"{REASON} .more")).to_have_text(reason.partition(";")[2])
 
 
-def test_unseen_tap(browser: Browser, address: str, tmp_path: Path) -> None:
+def test_unseen_tap(browser: Browser, server: Web, told: Wizard) -> None:
     """Where the daemon sees no tap for some seconds, the page says what to do, until there is one."""
-    with (
-        wizard(tmp_path / "wizard") as told,
-        web(address, "--wizard", tmp_path / "wizard") as server,
-        page(browser, server.url) as opened,
-    ):
+    with page(browser, server.url) as opened:
         opened.get_by_role("link", name="Calibrate").click()
         told.show("first-tap")
         expect(opened.locator(".tapped")).to_contain_text("Waiting for a tap")
@@ -345,28 +358,23 @@ def test_unseen_tap(browser: Browser, address: str, tmp_path: Path) -> None:
         expect(opened.locator(".tapped")).not_to_contain_text("Press more firmly")
 
 
-def test_marks(browser: Browser, address: str, tmp_path: Path) -> None:
+def test_marks(browser: Browser, server: Web, told: Wizard) -> None:
     """On a screen of any width a cross lies where its share of the screen says."""
-    with wizard(tmp_path / "wizard") as told, web(address, "--wizard", tmp_path / "wizard") as server:
-        told.show("cross-shown")
-        for wide, high in ((800, 480), (1920, 1080), (2560, 1440)):
-            with page(browser, server.url, wide=wide, high=high) as opened:
-                opened.get_by_role("link", name="Calibrate").click()
-                opened.get_by_role("button", name="Show the crosses here").click()
-                at = opened.locator(".stage .mark").bounding_box()
-                assert at is not None
-                middle = (at["x"] + at["width"] / 2, at["y"] + at["height"] / 2)
-                assert middle == pytest.approx((0.9 * wide, 0.9 * high), abs=1)
+    told.show("cross-shown")
+    for wide, high in ((800, 480), (1920, 1080), (2560, 1440)):
+        with page(browser, server.url, wide=wide, high=high) as opened:
+            opened.get_by_role("link", name="Calibrate").click()
+            opened.get_by_role("button", name="Show the crosses here").click()
+            at = opened.locator(".stage .mark").bounding_box()
+            assert at is not None
+            middle = (at["x"] + at["width"] / 2, at["y"] + at["height"] / 2)
+            assert middle == pytest.approx((0.9 * wide, 0.9 * high), abs=1)
 
 
-def test_steps(browser: Browser, address: str, tmp_path: Path) -> None:
+def test_steps(browser: Browser, server: Web, told: Wizard) -> None:
     """A step that is done can be looked at again; the wizard's next one comes to the front when it begins. No cross is
     shown on a page that does not fill the screen: it would stand in a wrong place."""
-    with (
-        wizard(tmp_path / "wizard") as told,
-        web(address, "--wizard", tmp_path / "wizard") as server,
-        page(browser, server.url) as opened,
-    ):
+    with page(browser, server.url) as opened:
         opened.get_by_role("link", name="Calibrate").click()
         told.show("verdict")
         expect(opened.locator(".word")).to_have_text("Good")
@@ -422,10 +430,11 @@ def test_daemon(browser: Browser, tmp_path: Path, source: str) -> None:
         opened.wait_for_function("() => touchd.feed.last.spectrum?.features.length > 100")
         expect(opened.locator(".spectrum canvas")).to_be_visible()
         expect(opened.locator(".fingers td.off")).to_have_text(re.compile(r"^0\.\d\d mm$"))
-        opened.wait_for_function(f"() => ({CROSSES})() > 8")  # the page refuses to evaluate an expression twice
+        # The page refuses to evaluate an expression twice; sixty times a second to read all pixels is much work.
+        opened.wait_for_function(f"() => ({CROSSES})() > 8", polling=POLLED_MS)
         if source == "replay":  # it takes some lifted fingers
             expect(opened.locator(".figure", has_text="Model fit")).to_have_text(re.compile(r"9\d\.\d %$"))
-        opened.wait_for_function(ACCOUNTED)
+        opened.wait_for_function(ACCOUNTED, polling=POLLED_MS)
         os.kill(daemon.pid, signal.SIGKILL)
         expect(opened.locator(STATUS)).to_contain_text("No data for")
         silent_s = "Number(document.querySelector('.state-word').textContent.match(/\\d+/))"

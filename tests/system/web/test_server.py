@@ -21,7 +21,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from tests.processes import PATIENCE_S, started, touchd
+from tests.command_line import touchd
+from tests.processes import PATIENCE_S, started
 from tests.system.web.bus import RATE_HZ
 from tests.system.web.rig import Web, bus, web
 from touchd.recording.format import read

@@ -9,6 +9,7 @@ import socketserver
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -117,6 +118,12 @@ class Wizard:
         self.ended = threading.Event()
         self.changed = threading.Condition()
 
+    def forget(self) -> None:
+        """Know nothing, as at the begin."""
+        with self.changed:
+            self.state, self.asked = dict(NOTHING), []
+            self.changed.notify_all()
+
     def show(self, name: str, **changes: Any) -> None:
         """Say the state of a step, with changes to it."""
         with self.changed:
@@ -167,6 +174,7 @@ def wizard(path: Path) -> Iterator[Wizard]:
             thread.join()
 
 
+@cache
 def _picture(name: str) -> bytes:
     """Draw what a report shows, of numbers that look like it."""
     random = np.random.default_rng(1)
