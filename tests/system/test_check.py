@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit, model_of
-from touchd.calibration.check import check_model
+from touchd.calibration.check import Checked, check_model
 from touchd.cli.main import main
 from touchd.errors import ModelMismatch, RecordingValues
 from touchd.localization.model import default_model_path
@@ -36,9 +36,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_right_model(folder: Path) -> None:
+@pytest.fixture(scope="module")
+def right(folder: Path) -> Checked:
+    """What is said of the right model."""
+    return check_model(folder / "right.onnx", folder / "use.npz")
+
+
+def test_right_model(right: Checked) -> None:
     """A right model is good, and the estimated error is small."""
-    checked = check_model(folder / "right.onnx", folder / "use.npz")
+    checked = right
     assert checked.verdict == "good", checked
     assert checked.unexplained is not None
     assert checked.unexplained < 0.01
@@ -69,15 +75,15 @@ def test_moved_disc(folder: Path) -> None:
     assert "%" in checked.reasons[0]
 
 
-def test_dead_disc(folder: Path) -> None:
+def test_dead_disc(folder: Path, right: Checked) -> None:
     """A disc that is not heard is named, though the others place touches."""
     use = read(folder / "use.npz")
     frames = use.frames.copy()
     frames[:, 1] = np.random.default_rng(1).integers(-2, 3, frames[:, 1].shape)
     write(folder / "dead.npz", replace(use, frames=frames))
-    dead, whole = (check_model(folder / "right.onnx", folder / name).reasons for name in ("dead.npz", "use.npz"))
+    dead = check_model(folder / "right.onnx", folder / "dead.npz").reasons
     assert [reason for reason in dead if "dead" in reason] == ["receiver 2 is dead: check its disc and cable"]
-    assert not whole
+    assert not right.reasons
 
 
 def test_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

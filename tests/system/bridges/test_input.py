@@ -9,7 +9,8 @@ import sys
 import time
 from pathlib import Path
 
-from tests.processes import PATIENCE_S, ROOT, environment, touchd
+from tests.command_line import touchd
+from tests.processes import PATIENCE_S, ROOT, environment
 from tests.system.bridges.rig import SCREEN, Bridge, bridge, daemon, down
 from tests.unit.bridges.events import contact
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-from tests.processes import end, started, touchd
+from tests.command_line import touchd
+from tests.processes import end, started
 from tests.system.bridges.rig import Daemon, daemon, down
 from tests.unit.bridges.events import contact
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import PATIENCE_S, end, started, touchd
+from tests.command_line import touchd
+from tests.processes import PATIENCE_S, end, started
 from tests.system.bridges.rig import SCREEN, daemon, down
 from tests.unit.bridges.events import contact
 from tests.unit.bridges.tuioclient import Client

@@ -63,13 +63,26 @@ def idle(small: Instrument) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def home(small: Instrument, idle: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fits() -> list[PlateFit]:
+    """The fit of `home`, once it is made."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def home(small: Instrument, idle: Recording, fits: list[PlateFit], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with an untouched recording, PLATE.toml, touches, and the model that was made of the first two."""
     home = tmp_path_factory.mktemp("calibrate")
     write(home / "idle.npz", idle)
     write(home / "touches.npz", simulate_touches(60, instrument=small, seed=5, margin_mm=3.0))
     (home / "PLATE.toml").write_text(SAID)
-    done = touchd("calibrate", "idle.npz", "-o", "plate.onnx", "--plate", "PLATE.toml", "--json", cwd=home)
+
+    def fit(said: PlateFile, mean: Untouched, progress: Progress) -> PlateFit:
+        fits.append(fit_plate(said, mean, progress))
+        return fits[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibrate, "fit_plate", fit)
+        done = touchd("calibrate", "idle.npz", "-o", "plate.onnx", "--plate", "PLATE.toml", "--json", cwd=home)
     assert done.code == 0, done.err
     (home / "said.json").write_text(done.out)
     return home
@@ -140,19 +153,14 @@ def test_taps(home: Path, small: Instrument, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def poor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have the fit come out poor, after one fit that counts for all."""
-    known: list[PlateFit] = []
-
-    def fit(said: PlateFile, mean: Untouched, progress: Progress) -> PlateFit:
-        if not known:
-            known.append(fit_plate(said, mean, progress))
-        return replace(known[0], verdict="poor", reasons=("4 mm fits better: measure it again",))
-
-    monkeypatch.setattr(calibrate, "fit_plate", fit)
+def poor(fits: list[PlateFit], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the fit of the same recording and PLATE.toml as `home`'s come out poor."""
+    (known,) = fits
+    bad = replace(known, verdict="poor", reasons=("4 mm fits better: measure it again",))
+    monkeypatch.setattr(calibrate, "fit_plate", lambda _said, _mean, _progress: bad)
 
 
-@pytest.mark.usefixtures("poor")
+@pytest.mark.usefixtures("home", "poor")
 def test_poor(home: Path, tmp_path: Path) -> None:
     """A poor fit has a status of its own and its reasons, and writes no model unless forced; the old one is kept."""
     (tmp_path / "m.onnx").write_bytes((home / "plate.onnx").read_bytes())

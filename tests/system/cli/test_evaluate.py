@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tracemalloc
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,9 @@ def said(*arguments: object) -> str:
     return done.output
 
 
+@cache
 def scores(model: Path, recording: Path) -> dict[str, Any]:
+    """What is found of a recording, by one run for all tests."""
     found: dict[str, Any] = json.loads(said(model, recording, "--json"))
     return found
 
@@ -166,9 +169,11 @@ def test_palm(folder: Path) -> None:
     assert set(found["by_fingers"]) == {"0"}
 
 
-def test_table(folder: Path) -> None:
-    """A person sees a line for each score and a column for each count."""
-    lines = said(SHIPPED, folder / "both.npz").splitlines()
+def test_table(folder: Path, tmp_path: Path) -> None:
+    """A person sees a line for each score and a column for each count; the errors of both counts are drawn, too."""
+    picture = tmp_path / "errors.png"
+    lines = said(SHIPPED, folder / "both.npz", "--plot", picture).splitlines()
+    assert picture.read_bytes().startswith(b"\x89PNG")
     found = scores(SHIPPED, folder / "both.npz")
     (start,) = (i for i, line in enumerate(lines) if line.split()[:1] == ["fingers"])
     assert lines[start].split() == ["fingers", "1", "2"]
@@ -188,9 +193,7 @@ def test_no_touch(folder: Path, tmp_path: Path) -> None:
         said(SHIPPED, tmp_path / "idle.npz")
 
 
-@pytest.mark.parametrize(
-    ("model", "recording"), [(SHIPPED, "one"), (SHIPPED, "two"), (SHIPPED, "both"), (GRID, "both")]
-)
+@pytest.mark.parametrize(("model", "recording"), [(SHIPPED, "one"), (SHIPPED, "two"), (GRID, "both")])
 def test_plot(model: Path, recording: str, folder: Path, tmp_path: Path) -> None:
     """Errors are drawn for one finger and for several."""
     picture = tmp_path / "errors.png"

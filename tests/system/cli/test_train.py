@@ -22,7 +22,7 @@ from touchd.twin.instrument import Instrument
 from touchd.twin.physics.transducer import Layout
 from touchd.twin.simulate import simulate_touches
 
-COUNT = 150
+COUNT = 110
 
 
 def made(plate: Plate, layout: Layout, acquisition: Acquisition) -> Recording:
@@ -56,7 +56,7 @@ def glass(tmp_path_factory: pytest.TempPathFactory) -> Trained:
         ),
     )
     write(folder / "glass.npz", recording)
-    printed = said("train", folder / "glass.npz", "-o", folder / "glass.onnx", "--epochs", "2")
+    printed = said("train", folder / "glass.npz", "-o", folder / "glass.onnx", "--epochs", "1")
     return Trained(folder / "glass.npz", folder / "glass.onnx", printed)
 
 
@@ -66,13 +66,13 @@ def test_other_plate(glass: Trained) -> None:
     assert about.acquisition.shape == (3, 200)
     assert (about.plate.width_mm, about.plate.height_mm, about.acquisition.sample_rate_hz) == (80, 120, 240e3)
     assert about.inputs == 3 * 2 * 37
-    assert about.command == "touchd train glass.npz -o glass.onnx --recipe best --seed 0 --epochs 2"
-    assert "on 15 touches never seen in training" in glass.printed
+    assert about.command == "touchd train glass.npz -o glass.onnx --recipe best --seed 0 --epochs 1"
+    assert "on 11 touches never seen in training" in glass.printed
 
 
 def test_warning(glass: Trained) -> None:
     """A warning is printed and in the report."""
-    few = "105 training touches are fewer than"
+    few = "77 training touches are fewer than"
     assert f"touchd: warning: {few}" in glass.printed
     assert few in (glass.model.with_suffix(".report") / "report.md").read_text()
 
@@ -165,8 +165,8 @@ def test_two_recordings(glass: Trained, tmp_path: Path) -> None:
     model = tmp_path / "a.onnx"
     arguments: list[Any] = ["--recipe", "paper-regression", "--epochs", "1", "--no-report"]
     printed = said("train", glass.recording, glass.recording, "-o", model, *arguments)
-    assert "on 30 touches never seen in training" in printed
-    assert "150 touches are exact copies" in printed
+    assert "on 22 touches never seen in training" in printed
+    assert "110 touches are exact copies" in printed
     assert "touchd train glass.npz glass.npz -o a.onnx" in Model(model).description.command
 
 

@@ -69,14 +69,32 @@ def full(request: pytest.FixtureRequest) -> bool:
     return bool(request.config.getoption("--hostile") == "full")
 
 
+@contextmanager
+def replaying(folder: Path, address: str = "") -> Iterator[Daemon]:
+    daemon = Daemon(folder, address or f"ipc://{folder}/bus", speed=SPEED)
+    try:
+        yield daemon
+    finally:
+        daemon.process.kill()
+        daemon.process.wait()
+
+
+@pytest.fixture(scope="module")
+def lasting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """A daemon for several attacks, one after the other: none may leave anything behind."""
+    with replaying(tmp_path_factory.mktemp("lasting")) as daemon:
+        yield daemon
+
+
 @pytest.fixture
 def daemon(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
-    """A daemon that publishes at a file, or at a port if a test asks for one."""
-    address = free_address() if getattr(request, "param", "") == "tcp" else f"ipc://{tmp_path}/bus"
-    daemon = Daemon(tmp_path, address, speed=SPEED)
-    yield daemon
-    daemon.process.kill()
-    daemon.process.wait()
+    """A daemon that publishes at a file; or, if a test asks for one, at a port, or the lasting one."""
+    how = getattr(request, "param", "")
+    if how == "lasting":
+        yield request.getfixturevalue("lasting")
+        return
+    with replaying(tmp_path, free_address() if how == "tcp" else "") as daemon:
+        yield daemon
 
 
 @pytest.fixture
@@ -123,6 +141,7 @@ def test_connections(daemon: Daemon, honest: Honest) -> None:
     assert daemon.said("there are more than 64")
 
 
+@pytest.mark.parametrize("daemon", ["lasting"], indirect=True)
 def test_silent_subscribers(daemon: Daemon, honest: Honest, full: bool) -> None:
     """Subscribers that never read cost little, and are cut off."""
     with bounded(daemon, honest, "silent subscribers"), attack(daemon, "silent", 60):
@@ -130,6 +149,7 @@ def test_silent_subscribers(daemon: Daemon, honest: Honest, full: bool) -> None:
             daemon.wait("has read nothing")
 
 
+@pytest.mark.parametrize("daemon", ["lasting"], indirect=True)
 def test_reconnects(daemon: Daemon, honest: Honest, full: bool) -> None:
     """Thousands of connections, one after the other, leave nothing behind."""
     number = 4000 if full else 300
@@ -137,6 +157,7 @@ def test_reconnects(daemon: Daemon, honest: Honest, full: bool) -> None:
         pass
 
 
+@pytest.mark.parametrize("daemon", ["lasting"], indirect=True)
 def test_pings(daemon: Daemon, honest: Honest, full: bool) -> None:
     """Endless pings keep no touch back."""
     with bounded(daemon, honest, "pings"), attack(daemon, "pings", 300_000 if full else 20_000):

@@ -18,22 +18,22 @@ from touchd.sources.source import Source
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene
 
-PERIOD_NS, CHUNK, CHUNKS, PART, PARTS = 8_000_000, 1250, 12, 3000, 5
+PERIOD_NS, CHUNK, CHUNKS, PART, PARTS = 16_000_000, 625, 12, 2500, 3
 
 
 @pytest.fixture(scope="module")
 def folder(instrument: Instrument, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two minutes in chunks of 10 s, with taps in each other one, the first not in the first half minute."""
+    """Two minutes in chunks of 10 s, with taps in each other one, at half the usual rate."""
     folder = tmp_path_factory.mktemp("hours") / "recording"
     folder.mkdir()
     taps = simulate_scene("tap", seed=6, instrument=instrument)
     idle = simulate_scene("idle", seed=5, frames=CHUNK, instrument=instrument).frames
     assert taps.contacts_mm is not None
-    tapped = slice(CHUNK // 2, CHUNK // 2 + 600)
+    tapped = slice(CHUNK // 2, CHUNK // 2 + 300)
     for number in range(CHUNKS):
         frames, contacts_mm = idle.copy(), np.full((CHUNK, 1, 2), np.nan, np.float32)
         if number % 2:
-            frames[tapped], contacts_mm[tapped] = taps.frames[:600], taps.contacts_mm[:600]
+            frames[tapped], contacts_mm[tapped] = taps.frames[:600:2], taps.contacts_mm[:600:2]
         sequence = np.arange(number * CHUNK, (number + 1) * CHUNK)
         chunk = replace(taps, frames=frames, contacts_mm=contacts_mm, sequence=sequence,
                         timestamp_ns=PERIOD_NS * sequence, force_n=None, faces=None, temperature_c=None)  # fmt: skip

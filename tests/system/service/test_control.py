@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.processes import PATIENCE_S, end, started, touchd, until
+from tests.command_line import touchd
+from tests.processes import PATIENCE_S, end, started, until
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.errors import AddressInUse, BusError
@@ -16,7 +17,7 @@ def is_down(event: Event) -> bool:
 
 
 def test_while_the_screen_is_off_a_running_daemon_finds_no_touches(tmp_path: Path) -> None:
-    """Told by the verb, in a process of its own: contacts go up at once, and come again once the screen is on."""
+    """Told by the verb: contacts go up at once, and come again once the screen is on."""
     address, path = f"ipc://{tmp_path}/bus", tmp_path / "control"
     options = ("--replay", SESSION, "--speed", "3", "--loop", "--bind", address, "--await-subscriber", PATIENCE_S)
     variables = {"TOUCHD_CONTROL__SOCKET": str(path), "TOUCHD_HEALTH__PERIOD_S": "0.1"}
@@ -55,12 +56,12 @@ def test_while_the_screen_is_off_a_running_daemon_finds_no_touches(tmp_path: Pat
 def test_a_second_daemon(tmp_path: Path) -> None:
     """It says which address is taken and ends; the first keeps both, and what it leaves when killed stops no next."""
     bus, control = tmp_path / "bus", tmp_path / "control"
-    options, socket = ("--replay", SESSION, "--speed", "max"), str(control)
+    options, socket = ("--replay", SESSION), str(control)
 
     def inodes() -> list[int]:
         return [path.stat().st_ino for path in (bus, control)]
 
-    with started(*options, "--loop", "--bind", f"ipc://{bus}", TOUCHD_CONTROL__SOCKET=socket) as daemon:
+    with started(*options, "--speed", "3", "--loop", "--bind", f"ipc://{bus}", TOUCHD_CONTROL__SOCKET=socket) as daemon:
         with Subscriber(f"ipc://{bus}", ("touch",), timeout_s=PATIENCE_S, max_age_s=None) as events:
             until(events, is_down)
             before = inodes()
@@ -75,7 +76,7 @@ def test_a_second_daemon(tmp_path: Path) -> None:
         daemon.kill()
         end(daemon)
     assert inodes() == before, "left behind"
-    assert touchd(*options, "--bind", f"ipc://{bus}", TOUCHD_CONTROL__SOCKET=socket).code == 0
+    assert touchd(*options, "--speed", "max", "--bind", f"ipc://{bus}", TOUCHD_CONTROL__SOCKET=socket).code == 0
 
 
 def test_without_a_daemon_the_verb_says_so(tmp_path: Path) -> None:

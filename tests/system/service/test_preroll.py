@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import PATIENCE_S, end, started, touchd, wait_until
+from tests.command_line import touchd
+from tests.processes import PATIENCE_S, end, started, wait_until
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.processes import PATIENCE_S, ROOT, end, started, touchd, until
+from tests.command_line import touchd
+from tests.processes import PATIENCE_S, ROOT, end, started, until
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.event import Event, HealthEvent, TouchEvent
@@ -36,7 +37,7 @@ def test_first_run(tmp_path: Path) -> None:
     options = ("--replay", SESSION, "--speed", "3", "--loop", "--bind", address, "--await-subscriber", PATIENCE_S)
 
     def model(*arguments: object) -> str:
-        done = touchd("model", *arguments, cwd=ROOT, patience_s=PATIENCE_S, **variables)
+        done = touchd("model", *arguments, cwd=ROOT, **variables)
         assert done.code == 0, done.err
         return done.out
 
@@ -51,7 +52,7 @@ def test_first_run(tmp_path: Path) -> None:
         assert isinstance(last, HealthEvent)
         assert "touchd calibrate" in (last.reason or "")
         taken = tmp_path / "taken.npz"
-        done = touchd("record", "-o", taken, "--frames", "100", cwd=ROOT, patience_s=PATIENCE_S, **variables)
+        done = touchd("record", "-o", taken, "--frames", "100", cwd=ROOT, **variables)
         assert done.code == 0, done.err
         known = {frame.tobytes() for frame in read(SESSION).frames}
         frames = read(taken).frames

@@ -39,9 +39,14 @@ def test_few_touches_of_the_twin_tell_more_by_their_waves(dataset: Dataset) -> N
 
 
 def test_same(dataset: Dataset) -> None:
-    """The same touches give the same field, to the bit, although threads share the work: in a tenth of the bins."""
+    """The same touches give the same field, to the bit, although threads share the work: in a tenth of the bins.
+
+    Its progress counts up to the end.
+    """
     touches = touches_of(dataset, np.arange(FEW))
     k = dispersion_of(dataset, touches)
     some = replace(touches, values=np.ascontiguousarray(touches.values[:, :, ::10]))
-    one, two = (learn_by_waves(some, Prior(k[::10])) for _ in range(2))
+    told: list[tuple[int, int]] = []
+    one, two = (learn_by_waves(some, Prior(k[::10]), lambda *step: told.append(step)) for _ in range(2))
+    assert told == [(at, told[0][1]) for at in range(1, told[0][1] + 1)] * 2
     np.testing.assert_array_equal(one.coefficients, two.coefficients)

@@ -53,7 +53,7 @@ def test_it_places_touches_as_the_original_does_in_less_than_half_the_size(
 
 def test_it_is_less_sure_by_as_much_as_it_errs_more(touches: Recording, tmp_path: Path) -> None:
     """On the touches of the validation part just as many of its errors are within sigma as of the original's."""
-    original = train(touches, tmp_path / "a.onnx", RECIPES["best"], epochs=3).model
+    original = train(touches, tmp_path / "a.onnx", RECIPES["best"], epochs=2).model
     made = quantise(original, touches, tmp_path / "b.onnx")
     data = make_dataset(touches)
     part = split(len(data), original.description.seed).validation

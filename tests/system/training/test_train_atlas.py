@@ -30,8 +30,14 @@ from touchd.training.train_network import train
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 
-QUICK = 6
+QUICK = 3
 """Epochs: enough to tell the parts of the plate apart."""
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave a report's pictures empty, where a test reads its page alone."""
+    monkeypatch.setattr("touchd.training.report.report.save", lambda _figure, path: path.touch())
 
 
 @pytest.fixture(scope="module")
@@ -104,19 +110,6 @@ def test_report(result: AtlasResult, touches: Recording) -> None:
         assert words in text
 
 
-def test_beside_network(result: AtlasResult, touches: Recording, tmp_path: Path) -> None:
-    """Beside an existing network the same atlas is made.
-
-    The network is copied as it is, or left where it lies; the split is the network's, not the command's.
-    """
-    again = train_atlas(touches, tmp_path / "b.onnx", result.model.path, seed=5)
-    assert again.network is None
-    assert (tmp_path / "b.onnx").read_bytes() == result.model.path.read_bytes()
-    np.testing.assert_array_equal(again.atlas.coefficients, result.atlas.coefficients)
-    assert again.atlas.description.seed == 0
-    assert again.scores == result.scores
-
-
 def test_other_network(result: AtlasResult, touches: Recording, tmp_path: Path) -> None:
     """A network of another recording or another head is refused."""
     other = replace(touches, frames=np.roll(touches.frames, 1, axis=2))
@@ -128,11 +121,14 @@ def test_other_network(result: AtlasResult, touches: Recording, tmp_path: Path) 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["p.onnx"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_unknown_material(result: AtlasResult, touches: Recording, tmp_path: Path) -> None:
-    """An unknown material is no obstacle."""
+    """An unknown material is no obstacle; the given network is copied beside the atlas as it is."""
     plate = touches.meta.plate.model_copy(update={"material": "unobtainium"})
     strange = replace(touches, meta=touches.meta.model_copy(update={"plate": plate}))
     found = train_atlas(strange, tmp_path / "a.onnx", result.model.path)  # frames and truth are the same
+    assert found.network is None
+    assert (tmp_path / "a.onnx").read_bytes() == result.model.path.read_bytes()
     assert found.atlas.description.fitted
     assert sum("unobtainium" in note for note in found.notes) == 1
     known, fitted = (np.array(one.atlas.description.wavenumber_rad_m)[:36] for one in (result, found))
@@ -140,6 +136,7 @@ def test_unknown_material(result: AtlasResult, touches: Recording, tmp_path: Pat
     assert "predicts the touches best" in (write_atlas_report(found, strange.meta, ["a"]) / "report.md").read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_label_noise(touches: Recording, tmp_path: Path) -> None:
     """Label noise is reported, and the standard errors are those of the atlas.
 
@@ -165,17 +162,23 @@ def test_label_noise(touches: Recording, tmp_path: Path) -> None:
 
 
 def test_command(result: AtlasResult, touches: Recording, tmp_path: Path) -> None:
-    """The command writes what it says and replaces nothing unasked."""
+    """The command writes what it says and replaces nothing unasked: beside an existing network the same atlas.
+
+    The network is left as it is where it lies; the split is the network's, not the command's.
+    """
     write(tmp_path / "touches.npz", touches, compress=False)
     network = tmp_path / "net.onnx"
     network.write_bytes(result.model.path.read_bytes())
     arguments = [str(tmp_path / "touches.npz"), "-o", str(network), "--recipe", "atlas", "--network", str(network)]
-    ran = CliRunner().invoke(command, [*arguments, "--no-report"], catch_exceptions=False)
+    ran = CliRunner().invoke(command, [*arguments, "--no-report", "--seed", "5"], catch_exceptions=False)
     assert ran.exit_code == 0
     assert "net.atlas.npz: on 40 touches never seen in training" in ran.output
-    assert load_atlas(tmp_path / "net.atlas.npz").description.command == (
-        "touchd train touches.npz -o net.onnx --recipe atlas --network net.onnx"
-    )
+    made = load_atlas(tmp_path / "net.atlas.npz")
+    assert made.description.command == "touchd train touches.npz -o net.onnx --recipe atlas --network net.onnx"
+    assert network.read_bytes() == result.model.path.read_bytes()
+    np.testing.assert_array_equal(made.coefficients, load_atlas(result.path).coefficients)
+    assert made.description.seed == 0
+    assert made.description.scores == result.scores
     again = CliRunner().invoke(command, arguments)
     assert again.exit_code != 0
     assert "already there" in str(again.exception)

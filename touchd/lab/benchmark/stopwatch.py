@@ -94,10 +94,11 @@ def ratio(one: Stopwatch, other: Stopwatch) -> float:
 def undisturbed(cpus: Collection[int] = ()) -> Iterator[None]:
     """Pin this thread, and those it starts, to processors if allowed, by default to the last one.
 
-    The garbage collector's objects are frozen meanwhile, as the daemon's are.
+    The garbage collector's objects are frozen meanwhile, as the daemon's are, unless some are frozen already.
     """
-    gc.collect()
-    gc.freeze()
+    if thaw := not gc.get_freeze_count():
+        gc.collect()
+        gc.freeze()
     before = os.sched_getaffinity(0)
     with suppress(OSError):
         os.sched_setaffinity(0, cpus or {max(before)})
@@ -106,7 +107,8 @@ def undisturbed(cpus: Collection[int] = ()) -> Iterator[None]:
     finally:
         with suppress(OSError):
             os.sched_setaffinity(0, before)
-        gc.unfreeze()
+        if thaw:
+            gc.unfreeze()
 
 
 @cache

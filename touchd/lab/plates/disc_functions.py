@@ -8,13 +8,17 @@ the untouched energy, on acrylic they were seven times too loud. With these func
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.polynomial.legendre import Legendre
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Pair = tuple[Floats, Floats]
+"""Coefficients of a polynomial and of its derivative."""
 
 ORDERS, DEGREES = 4, 3
 """Waves around the disc, 0 .. ORDERS, and polynomials along the radius, inside and outside each."""
@@ -63,18 +67,31 @@ class DiscFunctions:
         """Return functions of the radius and their derivatives, for `order` waves around the disc."""
         a, b = self.radius_m, self.reach_m
         inside, outside = r <= a, (r > a) & (r < b)
-        t = Polynomial([0.0, 1 / a])  # 1 at the rim
-        s = Polynomial([-(a + b) / (b - a), 2 / (b - a)])  # -1 .. 1 from the rim outwards
-        bases = [Legendre.basis(degree).convert(kind=Polynomial) for degree in range(DEGREES)]
-        rising = t**order
-        inner = [rising * (1 - t**2) * base(2 * t**2 - 1) for base in bases]
-        outer = [(1 - s**2) / 4 * base(s) for base in bases]
-        parts = [(each, None) for each in inner] + [(None, each) for each in outer] + [(rising, (1 - s) / 2)]
+        t = r[inside] / a
+        s = (2 * r[outside] - (a + b)) / (b - a)
         found = []
-        for within, beyond in parts:
+        for within, beyond in _polynomials(order):
             value, slope = np.zeros_like(r), np.zeros_like(r)
-            for polynomial, there in ((within, inside), (beyond, outside)):
-                if polynomial is not None:
-                    value[there], slope[there] = polynomial(r[there]), polynomial.deriv()(r[there])
+            value[inside], slope[inside] = polyval(t, within[0]), polyval(t, within[1]) / a
+            value[outside], slope[outside] = polyval(s, beyond[0]), polyval(s, beyond[1]) * 2 / (b - a)
             found.append((value, slope))
         return found
+
+
+@cache
+def _polynomials(order: int) -> list[tuple[Pair, Pair]]:
+    """Return coefficients of functions of the radius inside and outside a disc, for `order` waves around it.
+
+    Inside in t, 1 at the rim; outside in s, -1 to 1 from the rim outwards.
+    """
+    x = Polynomial([0.0, 1.0])
+    bases = [Legendre.basis(degree).convert(kind=Polynomial) for degree in range(DEGREES)]
+    rising, none = x**order, Polynomial([0.0])
+    inner = [(rising * (1 - x**2) * base(2 * x**2 - 1), none) for base in bases]
+    outer = [(none, (1 - x**2) / 4 * base) for base in bases]
+    parts = [*inner, *outer, (rising, (1 - x) / 2)]
+    return [(_with_derivative(within), _with_derivative(beyond)) for within, beyond in parts]
+
+
+def _with_derivative(polynomial: Polynomial) -> Pair:
+    return polynomial.coef.astype(np.float64), polynomial.deriv().coef.astype(np.float64)

@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -154,7 +154,7 @@ class Regression:
 
     def kernel(self, b: int) -> Kernel:
         """Return a bin's kernel."""
-        return Kernel(float(self.prior.wavenumber_per_mm[b]), self._reach_mm, self.prior.white_share)
+        return _kernel(float(self.prior.wavenumber_per_mm[b]), self._reach_mm, self.prior.white_share)
 
     def penalty(self, b: int, amplitude: Complex) -> Array:
         """Return the system's diagonal term: the noise of a touch of amplitude z counts as noise / |z|."""
@@ -202,6 +202,12 @@ class Regression:
         system = self.kernel(b)(self.distance_mm)
         system[np.diag_indices(len(system))] += self.penalty(b, amplitude)
         return system
+
+
+@lru_cache(maxsize=32)
+def _kernel(wavenumber_per_mm: float, reach_mm: float, white_share: float) -> Kernel:
+    """Return a kernel: the same few are used again and again, and of few touches the tables took half the time."""
+    return Kernel(wavenumber_per_mm, reach_mm, white_share)
 
 
 def weigh(inverse: Array, targets: Array) -> Array:

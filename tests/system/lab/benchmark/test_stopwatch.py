@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 
 import numpy as np
 import pytest
@@ -79,3 +80,16 @@ def test_the_processors_allowed_are_the_same_afterwards() -> None:
     with undisturbed():
         assert os.sched_getaffinity(0) <= before
     assert os.sched_getaffinity(0) == before
+
+
+@pytest.mark.parametrize(("frozen", "done"), [(0, ["collect", "freeze", "unfreeze"]), (9, [])])
+def test_memory_is_frozen_meanwhile_unless_it_is_already(
+    frozen: int, done: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("gc.get_freeze_count", lambda: frozen)
+    for name in ("collect", "freeze", "unfreeze"):
+        monkeypatch.setattr(f"gc.{name}", partial(said.append, name))
+    with undisturbed():
+        assert said == done[:2]
+    assert said == done
