@@ -48,7 +48,9 @@ class Scale:
     skip_rounds: int = 60
 
 
-QUICK = Scale(touches=200, passes=2, race_s=4.0, rates_hz=(None,), full_speed_s=0.5, repeated=(), skip_rounds=20)
+QUICK = Scale(
+    touches=200, passes=2, race_s=4.0, rates_hz=(None,), full_speed_s=0.8, repeated=("moving",), skip_rounds=20
+)
 
 
 def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[Path] = ()) -> Run:
