@@ -86,7 +86,8 @@ def features_of(bins: np.ndarray) -> np.ndarray:
 def untouched(stretch: float = 0.0, delay_s: float = 0.0, seed: int = 1) -> np.ndarray:
     """The untouched plate, (channels, samples), not to be written to: delayed and dispersed echoes of the chirp.
 
-    It is stretched exactly. A plate whose resonances have risen by a share answers at f what it answered at f / (1 + share).
+    It is stretched exactly. A plate whose resonances have risen by a share answers at f what it answered at
+    f / (1 + share).
     """
     rng = np.random.default_rng(seed)
     n, chirp = 2048, RIG.chirp

@@ -21,6 +21,7 @@ from touchd.calibration.untouched_model import UntouchedModel
 from touchd.errors import CalibrationError
 from touchd.evaluation.cramer_rao import twin_values
 from touchd.evaluation.single_frames import find_with, see, touched_frames
+from touchd.frame import ACQUISITIONS
 from touchd.lab.plates.other_plate import Patch, missing, other_modes
 from touchd.localization.model import Model
 from touchd.training.field.bins import TAPER
@@ -51,21 +52,24 @@ def said(order: tuple[int, ...] = (0, 1, 2, 3, 4), scatterers: Any = (), **plate
     })  # fmt: skip
 
 
-def other(*patches: Patch, mounting: Mounting = FREE, feedthrough: tuple[tuple[float, float], ...] = ()) -> Instrument:
+def other(
+    *patches: Patch, mounting: Mounting = FREE, feedthrough: tuple[tuple[float, float], ...] = (), name: str = "usb"
+) -> Instrument:
     """A plate whose discs are stiff, and have beads of solder beside them."""
     beads = [Patch(float(x) + 5, float(y), 1.5, 1.5, mass_kg_m2=4.0) for x, y in LAYOUT.centres_mm]
-    modes = other_modes(TRUE, LAYOUT, [*beads, *patches])
+    acquisition = ACQUISITIONS[name]
+    modes = other_modes(TRUE, LAYOUT, [*beads, *patches], max(acquisition.chirp.band_hz))
     if mounting != FREE:
         modes = attach(modes, TRUE, mounting.on(TRUE), 7e-3, 75e3)
-    return Instrument(TRUE, layout=LAYOUT, loss=7e-3, modes=modes, feedthrough=feedthrough)
+    return Instrument(TRUE, layout=LAYOUT, loss=7e-3, modes=modes, feedthrough=feedthrough, acquisition=acquisition)
 
 
 def heard(
     *patches: Patch, gains: NDArray[np.float64] = GAINS, mounting: Mounting = FREE,
-    feedthrough: tuple[tuple[float, float], ...] = (),
+    feedthrough: tuple[tuple[float, float], ...] = (), name: str = "usb",
 ) -> Untouched:  # fmt: skip
     """Its untouched mean frame."""
-    instrument = other(*patches, mounting=mounting, feedthrough=feedthrough)
+    instrument = other(*patches, mounting=mounting, feedthrough=feedthrough, name=name)
     signal = SCALE * gains[:, None] * instrument.untouched([22.0])[0]
     error = NOISE / np.sqrt(FRAMES)
     noisy = signal + error * np.random.default_rng(0).standard_normal(signal.shape)
@@ -246,6 +250,22 @@ def test_a_wrong_plate(plate: dict[str, Any], reason: str) -> None:
     fit = fit_plate(said(**plate), heard())
     assert fit.verdict != "good"
     assert any(reason in each for each in fit.reasons)
+
+
+@pytest.mark.parametrize(
+    ("plate", "order", "reason"),
+    [
+        ({"thickness_mm": 4}, (0, 1, 2, 3, 4), "a thickness of 5 mm fits"),
+        ({"material": "aluminium"}, (0, 1, 2, 3, 4), "glass fits, not aluminium"),
+        ({}, (0, 2, 1, 3, 4), "receiver 1 at the place of receiver 2"),
+    ],
+)
+def test_an_audio_interface(plate: dict[str, Any], order: tuple[int, ...], reason: str) -> None:
+    """In steady state no part of a frame has first arrivals alone: what is wrong is named by the whole of it."""
+    fit = fit_plate(said(order, **plate), heard(name="audio-96"))
+    assert fit.verdict == "usable"
+    assert [reason in each for each in fit.reasons].count(True) == 1
+    assert fit.unexplained < 1e-3
 
 
 TAPED = Mounting(left="tape", bottom="tape")

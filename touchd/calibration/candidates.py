@@ -26,7 +26,8 @@ THICKNESSES_MM = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
 MOST_FACTOR = 1.8
 """Largest ratio of another thickness to the one said."""
 FIRST_SHARE, HIGHEST = 0.3, 0.4
-"""Part of the frame that is compared, and the part of the chirp's band that it has, with the window's end."""
+"""Part of the frame that is compared, and the part of the chirp's band that it has, with the window's end. In steady
+state earlier chirps ring in all of a frame, which is compared whole."""
 SPEEDS = np.linspace(-0.03, 0.03, 7)
 MOST_PERMUTED = 5
 """Discs up to which any order is tried; of more, any two may be swapped."""
@@ -109,9 +110,10 @@ def _misfits(said: PlateFile, untouched: Untouched) -> Floats:
     reader = Reader(said, untouched.acquisition)
     chirp = untouched.acquisition.chirp
     low, high = chirp.band_hz
-    plate = ReducedPlate(reader.plate(reader.start), low + HIGHEST * (high - low))
+    share, highest = (FIRST_SHARE, HIGHEST) if chirp.period_s is None else (WHOLE, 1.0)
+    plate = ReducedPlate(reader.plate(reader.start), low + highest * (high - low))
     model = UntouchedModel(plate, reader, untouched)
-    window = window_of(model, FIRST_SHARE)
+    window = window_of(model, share)
     found = []
     for speed in SPEEDS:
         p = reader.start.copy()

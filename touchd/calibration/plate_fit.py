@@ -158,6 +158,7 @@ def _others(said: PlateFile, untouched: Untouched, fit: PlateFit, state: State) 
         yield from scatterers(said, untouched, state, fit.basis)
     if USABLE_LEFT >= fit.left > GOOD_LEFT:
         yield from soft_edges(said, untouched, state, fit.basis)
+        yield from candidates(said, untouched)
 
 
 def _fit(
