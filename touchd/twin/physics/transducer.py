@@ -230,13 +230,9 @@ def scatterer_vectors(
 
 
 def vectors_at(
-    centres_m: Floats,
-    beads_m: Floats,
-    radius_m: float | Floats,
-    size_m: tuple[float, float],
-    counts: tuple[int, int],
-    sums: Sums,
-) -> Floats:
+    centres_m: Floats, beads_m: Floats, radius_m: float | Floats, size_m: tuple[float, float],
+    counts: tuple[int, int], sums: Sums,
+) -> Floats:  # fmt: skip
     """Return means of modes over D discs by which they drive and load the plate, shape (n, MEANS D), mean by mean.
 
     The discs' radii are of shape (D,), or one for all.
