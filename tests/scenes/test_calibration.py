@@ -60,7 +60,7 @@ def other(
     acquisition = ACQUISITIONS[name]
     modes = other_modes(TRUE, LAYOUT, [*beads, *patches], max(acquisition.chirp.band_hz))
     if mounting != FREE:
-        modes = attach(modes, TRUE, mounting.on(TRUE), 7e-3, 75e3)
+        modes = attach(modes, TRUE, mounting.on(TRUE), 7e-3, float(np.mean(acquisition.chirp.band_hz)))
     return Instrument(TRUE, layout=LAYOUT, loss=7e-3, modes=modes, feedthrough=feedthrough, acquisition=acquisition)
 
 
@@ -252,23 +252,28 @@ def test_a_wrong_plate(plate: dict[str, Any], reason: str) -> None:
     assert any(reason in each for each in fit.reasons)
 
 
+TAPED, CLAMPED = Mounting(left="tape", bottom="tape"), Mounting(left="clamped")
+
+
 @pytest.mark.parametrize(
-    ("plate", "order", "reason"),
+    ("plate", "order", "mounting", "reason"),
     [
-        ({"thickness_mm": 4}, (0, 1, 2, 3, 4), "a thickness of 5 mm fits"),
-        ({"material": "aluminium"}, (0, 1, 2, 3, 4), "glass fits, not aluminium"),
-        ({}, (0, 2, 1, 3, 4), "receiver 1 at the place of receiver 2"),
+        ({"thickness_mm": 4}, (0, 1, 2, 3, 4), FREE, "a thickness of 5 mm fits"),
+        ({"material": "aluminium"}, (0, 1, 2, 3, 4), FREE, "glass fits, not aluminium"),
+        ({}, (0, 2, 1, 3, 4), FREE, "receiver 1 at the place of receiver 2"),
+        ({}, (0, 1, 2, 3, 4), TAPED, "tape or pads along the edges fit"),
+        ({}, (0, 1, 2, 3, 4), CLAMPED, "a clamped left edge fits"),
     ],
 )
-def test_an_audio_interface(plate: dict[str, Any], order: tuple[int, ...], reason: str) -> None:
-    """In steady state no part of a frame has first arrivals alone: what is wrong is named by the whole of it."""
-    fit = fit_plate(said(order, **plate), heard(name="audio-96"))
+def test_an_audio_interface(plate: dict[str, Any], order: tuple[int, ...], mounting: Mounting, reason: str) -> None:
+    """In steady state no part of a frame has first arrivals alone: what is wrong is named by the whole of it.
+
+    Of the inertia at its low frequencies a clamp's stiffness is much more.
+    """
+    fit = fit_plate(said(order, **plate), heard(mounting=mounting, name="audio-96"))
     assert fit.verdict == "usable"
     assert [reason in each for each in fit.reasons].count(True) == 1
-    assert fit.unexplained < 1e-3
-
-
-TAPED = Mounting(left="tape", bottom="tape")
+    assert fit.unexplained < 3e-3
 
 
 def test_taped_edges() -> None:
@@ -290,7 +295,7 @@ def test_taped_edges() -> None:
 
 def test_a_clamped_edge() -> None:
     """A clamp is never good: said or not it is named, as it shifts all places."""
-    heard_clamped = heard(mounting=Mounting(left="clamped"))
+    heard_clamped = heard(mounting=CLAMPED)
     known = fit_plate(said(edge={"left": "clamped"}), heard_clamped)
     assert known.verdict == "usable"
     assert known.expected_mm > 0.5

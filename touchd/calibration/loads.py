@@ -125,6 +125,16 @@ STARTS = {
     "tape": Start((0.02, 0.04, 0.03), (0.1, 0.1, 0.1), 1),
     "clamped": Start((1.0, 0.05, 0.0), (1.0, 0.2, 0.2), 2),
 }
+STARTS_HZ = 75e3
+"""The band's middle that they are for."""
+
+
+def start_of(kind: str, middle_hz: float) -> Start:
+    """Return how an edge is held in a band: what is as stiff is more of the plate's inertia at a lower frequency."""
+    start, ratio = STARTS[kind], STARTS_HZ / middle_hz
+    by_kind = ratio**2, ratio, 1.0  # of a stiffness, a dashpot, a mass
+    values, priors = (tuple(np.multiply(each, by_kind).tolist()) for each in start[:2])
+    return start._replace(values=values, priors=priors)
 
 
 class Edges(NamedTuple):

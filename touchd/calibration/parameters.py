@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.loads import KINDS, SCATTERER, STARTS, Discs, Edges, Guess, Loss
+from touchd.calibration.loads import KINDS, SCATTERER, Discs, Edges, Guess, Loss, start_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Floats, Shape, shape_of
 from touchd.frame import Acquisition, Chirp, Plate
@@ -70,7 +70,7 @@ def usual_loss(said: PlateFile) -> float:
     return LOSSES.get((said.plate.material or "").lower(), other)
 
 
-def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
+def unknowns_of(said: PlateFile, chirp: Chirp) -> tuple[Unknown, ...]:
     """Return the fit's unknowns for a plate: logarithms of positive numbers, lengths in mm."""
     p, d, lever_mm = said.plate, said.discs, lever_mm_of(said)
     found = [
@@ -89,7 +89,7 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
         Unknown("plane", "in-plane stiffness", "", 1.0, PLANE_PRIOR),
     ]
     for side, kind in held_sides(said).items():
-        start = STARTS[kind]
+        start = start_of(kind, float(np.mean(chirp.band_hz)))
         found += [
             Unknown(f"{side} {each}", f"edge {each}, {side}", "", value, prior)
             for each, value, prior in zip(KINDS, start.values, start.priors, strict=True)
@@ -126,7 +126,7 @@ class Reader:
     """Reads vectors of a plate's unknowns."""
 
     def __init__(self, said: PlateFile, acquisition: Acquisition) -> None:
-        self.unknowns = unknowns_of(said)
+        self.unknowns = unknowns_of(said, acquisition.chirp)
         self.names = tuple(unknown.name for unknown in self.unknowns)
         self.start = np.array([unknown.start for unknown in self.unknowns])
         self.prior = np.array([unknown.prior for unknown in self.unknowns])
