@@ -1,6 +1,7 @@
 """Other plates than the one said, tried where a fit leaves too much: swapped cables, thickness, material, held edges.
 
-Each is tried on the first arrivals, at low frequencies, where a small eigenproblem does; the best is then fitted whole.
+Each is tried on the first arrivals, at low frequencies, where a small eigenproblem does; in steady state, which has no
+first arrivals alone, on the whole frame. The best is then fitted whole.
 Soft edges, which the first arrivals hardly know, are tried on the whole frame from where the fit has ended.
 """
 
@@ -49,7 +50,7 @@ class Candidate(NamedTuple):
     what: str
     """For a person: what fits instead of what was said. `{at_mm}` stands for the place of the last scatterer fitted."""
     left: float
-    """Share of the first arrivals' energy that it leaves."""
+    """Share that it leaves: of the energy that was compared, or, of soft edges and scatterers, of what the fit left."""
 
 
 def candidates(said: PlateFile, untouched: Untouched) -> list[Candidate]:

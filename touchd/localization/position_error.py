@@ -166,8 +166,8 @@ def _tables(atlas: Atlas) -> NDArray[np.float64]:
             (parts[..., 0, :] + np.complex64(1j) * parts[..., 1, :]).reshape(*fields.shape[:2], -1).swapaxes(0, 1)
         )
         columns = np.stack([x, y, *(turned * one for one in (u, u * band, *second) for turned in (1, 1j))], axis=1)
-        parts = columns.view(nodes.dtype)  # side by side, so that a real product does
-        information = (parts @ parts.swapaxes(1, 2)).astype(np.float64)
+        real = columns.view(nodes.dtype)  # both parts side by side: a real product does
+        information = (real @ real.swapaxes(1, 2)).astype(np.float64)
         # A field of zeros, as of a plate without channels, tells nothing.
         empty = ~_regular(information)
         information[empty] = np.eye(information.shape[-1])

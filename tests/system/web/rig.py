@@ -17,8 +17,8 @@ from tests.processes import PATIENCE_S, ROOT, environment, started
 CHROMIUM = "/usr/bin/chromium"
 PATIENCE_MS = PATIENCE_S * 1000
 _UNUSED = ("WebUIOmniboxPopup", "WebUIOmniboxAimPopup", "SpareRendererForSitePerProcess")
-"""Of Chromium: nobody sees the pages that drop from its address bar, but each window would start them, in a process of
-their own, and one more to come. That costs more than the page itself."""
+"""Of Chromium: each window would start the pages that drop from its address bar, and a process for one more to come.
+That costs more than the page itself."""
 
 
 class Web(NamedTuple):

@@ -119,7 +119,7 @@ class Wizard:
         self.changed = threading.Condition()
 
     def forget(self) -> None:
-        """Know nothing, as at the begin."""
+        """Know nothing, as at the start."""
         with self.changed:
             self.state, self.asked = dict(NOTHING), []
             self.changed.notify_all()

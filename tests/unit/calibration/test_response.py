@@ -4,10 +4,23 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from touchd.calibration.disc_response import DiscResponse
-from touchd.calibration.loads import SCATTERER, Discs, Edges, Guess, Loss, attachments, lines_along
+from touchd.calibration.loads import (
+    KINDS,
+    SCATTERER,
+    STARTS,
+    Discs,
+    Edges,
+    Guess,
+    Loss,
+    attachments,
+    lines_along,
+    start_of,
+)
 from touchd.calibration.reduced_plate import IN_PLANE, SHAPE_NAMES, ReducedPlate, Shape, shape_of
 from touchd.twin.physics import in_plane
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
@@ -210,3 +223,21 @@ def test_any_two_discs(plate: ReducedPlate) -> None:
     between = response.between()
     np.testing.assert_allclose(between, between.transpose(1, 0, 2), atol=1e-9 * np.abs(between).max())
     np.testing.assert_array_equal(between[0, 1:], response.untouched())
+
+
+@pytest.mark.parametrize("kind", STARTS)
+@given(middle_hz=st.floats(1e3, 1e6))
+def test_a_held_edge_begins_alike_in_any_band(kind: str, middle_hz: float) -> None:
+    """A clamp is as stiff for low frequencies as for high ones; counted in the plate's inertia there it is not."""
+
+    def supports(middle_hz: float) -> list[float]:
+        values = dict(zip((f"left {each}" for each in KINDS), start_of(kind, middle_hz).values, strict=True))
+        edges = Edges({"left": kind}, values, 2 * np.pi * middle_hz)
+        return [
+            value
+            for each in attachments(edges, PLATE)
+            for value in (each.support.stiffness_n_m3, each.support.dashpot_n_s_m3, each.support.mass_kg_m2)
+        ]
+
+    assert supports(middle_hz) == pytest.approx(supports(75e3), rel=1e-9)
+    assert start_of(kind, 75e3) == STARTS[kind]
