@@ -1,7 +1,7 @@
 """The free plate near a reference plate: its eigenproblem in the reference's modes.
 
 Strain and kinetic energy of Mindlin's plate are sums of thirteen forms that depend on the modes alone, times factors
-that depend on wave speed, thickness, Poisson's ratio, width and height alone; those of waves in its plane of six. In
+that depend on elastic constants, thickness, width and height alone; those of waves in its plane of six. In
 coordinates scaled by width and height the modes of one plate are a basis for those of all similar ones, so another
 plate costs an eigenproblem of a few hundred unknowns, and a parameter's derivative a product with a small matrix.
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.twin.physics import in_plane, legendre
-from touchd.twin.physics.material import ElasticPlate, material_of, stiffness_of
+from touchd.twin.physics.material import ElasticPlate, Material, material_of, stiffness_of
 from touchd.twin.physics.plate import (
     LEAST_MARGIN,
     MANY_POLYNOMIALS,
@@ -51,6 +51,9 @@ class Shape(NamedTuple):
     plane: float = 1.0
     """Stiffness in the plane over mass, over what `speed2` says: what is bonded on a plate loads its bending waves, and
     otherwise those in its plane."""
+    orthotropy: float = 1.0
+    shear_ratio: float = 1.0
+    """As `Material` has them."""
 
 
 SHAPE_NAMES = Shape._fields
@@ -59,7 +62,11 @@ SHAPE_NAMES = Shape._fields
 def shape_of(plate: ElasticPlate) -> Shape:
     """Return what the modes of a plate depend on."""
     m = material_of(plate)
-    return Shape(m.E_pa / m.rho_kg_m3, plate.thickness_mm * 1e-3, m.nu, plate.width_mm * 1e-3, plate.height_mm * 1e-3)
+    speed2, h = m.E_pa / m.rho_kg_m3, plate.thickness_mm * 1e-3
+    return Shape(
+        speed2, h, m.nu, plate.width_mm * 1e-3, plate.height_mm * 1e-3,
+        orthotropy=m.orthotropy, shear_ratio=m.shear_ratio,
+    )  # fmt: skip
 
 
 def _stiff_factors(s: Shape) -> Floats:
@@ -73,11 +80,10 @@ def _stiff_factors(s: Shape) -> Floats:
 
 def _plane_factors(s: Shape) -> Floats:
     """Return the factors of the six forms of the strain energy in the plane."""
-    stretch = s.speed2 / (1 - s.nu**2)
-    shear = stretch * (1 - s.nu) / 2
+    along_x, along_y, between, shear = Material(s.speed2, s.nu, 1.0, s.orthotropy, s.shear_ratio).in_plane()  # per mass
     W, H = s.width, s.height
     return np.array([
-        stretch / W**2, stretch / H**2, 2 * stretch * s.nu / (W * H), shear / H**2, shear / W**2, 2 * shear / (W * H),
+        along_x / W**2, along_y / H**2, 2 * between / (W * H), shear / H**2, shear / W**2, 2 * shear / (W * H),
     ])  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from touchd.calibration.plate_file import PlateFile, check_plate_file, read_plate_file
 from touchd.errors import PlateFileInvalid
+from touchd.twin.physics.material import Material
 
 CONTENT: dict[str, Any] = {
     "plate": {"width_mm": 200, "height_mm": 150, "thickness_mm": 5, "material": "glass"},
@@ -37,7 +38,7 @@ def test_uncertainties_have_the_defaults_of_a_ruler_and_a_caliper() -> None:
 def test_the_twin_takes_it() -> None:
     """Plate and discs reach the twin with their material's constants."""
     said = read("plate", material=..., young_gpa=70, poisson=0.2, density_kg_m3=2400)
-    assert said.twin_plate().elastic == (70e9, 0.2, 2400)
+    assert said.twin_plate().elastic == Material(70e9, 0.2, 2400)
     assert said.layout().centres_mm.tolist() == [[30, 100], [15, 15], [185, 20]]
 
 

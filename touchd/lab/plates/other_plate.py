@@ -52,6 +52,9 @@ class Patch(NamedTuple):
     lever_m: float = 0.0
     """Height over the plate's middle of what bends, rolls and stretches as one; 0 for what lies in the middle."""
     round: bool = True
+    orthotropy: float = 1.0
+    shear_ratio: float = 1.0
+    """Of the bending stiffness, as `Material` has them."""
     corner: bool = False
     """Whether it is the triangle towards the rectangle's corner of least x and y."""
 
@@ -106,7 +109,10 @@ def _patched(bending: Modes, beside: Modes, plate: Plate, layout: Layout, patche
     basis = _Basis(modes, plate, _around(layout, plate))
     add = _Sum(basis.count, slice(bent, n), material_of(plate).nu)
     s = stiffness_of(plate)
-    whole = Patch(0.0, 0.0, 0.0, 0.0, s.mass, s.rotary, s.bending, s.shear)
+    m = material_of(plate)
+    whole = Patch(
+        0.0, 0.0, 0.0, 0.0, s.mass, s.rotary, s.bending, s.shear, orthotropy=m.orthotropy, shear_ratio=m.shear_ratio
+    )
     for k, disc in enumerate(basis.discs):
         add(basis.at(*disc.rule(), k), whole)
     mass, stiff = add.mass, add.stiff
@@ -161,14 +167,17 @@ class _Sum:
         plane[:, :, ours] = fields[1:, :, ours]
         turned[:, :, ours] *= 1 / patch.lever_m if patch.lever_m else 0.0
         w, (psi_x, psi_y), (u, v) = fields[0], turned, plane
+        along = patch.orthotropy**0.25
+        x_x, y_y = along * psi_x[1], psi_y[2] / along
         own, across = (0.0, 0.0) if patch.lever_m else (patch.mass_kg_m2, patch.rotary_kg * (nu / (1 - nu)) ** 2)
         for total, factor, parts in (
             (self.mass, patch.mass_kg_m2, [w[0]]),
             (self.mass, patch.rotary_kg, [psi_x[0], psi_y[0]]),
             (self.mass, own, [u[0], v[0]]),
             (self.mass, across, [u[1] + v[2]]),
-            (self.stiff, patch.bending_n_m * (1 + nu) / 2, [psi_x[1] + psi_y[2]]),
-            (self.stiff, patch.bending_n_m * (1 - nu) / 2, [psi_x[1] - psi_y[2], psi_x[2] + psi_y[1]]),
+            (self.stiff, patch.bending_n_m * (1 + nu) / 2, [x_x + y_y]),
+            (self.stiff, patch.bending_n_m * (1 - nu) / 2, [x_x - y_y]),
+            (self.stiff, patch.bending_n_m * (1 - nu) / 2 * patch.shear_ratio, [psi_x[2] + psi_y[1]]),
             (self.stiff, patch.stretch_n_m * (1 + nu) / 2, [u[1] + v[2]]),
             (self.stiff, patch.stretch_n_m * (1 - nu) / 2, [u[1] - v[2], u[2] + v[1]]),
             (self.stiff, patch.shear_n_m, [w[1] + psi_x[0], w[2] + psi_y[0]]),

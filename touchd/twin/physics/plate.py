@@ -113,18 +113,17 @@ def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_
     sizes = [a * b for a, b in shapes]
     b0, b1, b2, b3 = np.cumsum([0, *sizes])
     one = np.eye
-    D, S = s.bending, s.shear
-    nu = material_of(plate).nu
-    twist = D * (1 - nu) / 2
+    S, cube = s.shear, (plate.thickness_mm * 1e-3) ** 3 / 12
+    Dx, Dy, between, twist = (cube * stiffness for stiffness in material_of(plate).in_plane())
     K = np.zeros((b3, b3))
     K[b0:b1, b0:b1] = S * (np.kron(dx_w.T @ dx_w, one(shapes[0][1])) + np.kron(one(shapes[0][0]), dy_w.T @ dy_w))
-    K[b1:b2, b1:b2] = np.kron(D * dx_r.T @ dx_r + S * one(shapes[1][0]), one(shapes[1][1]))
+    K[b1:b2, b1:b2] = np.kron(Dx * dx_r.T @ dx_r + S * one(shapes[1][0]), one(shapes[1][1]))
     K[b1:b2, b1:b2] += twist * np.kron(one(shapes[1][0]), dy_w.T @ dy_w)
-    K[b2:b3, b2:b3] = np.kron(one(shapes[2][0]), D * dy_r.T @ dy_r + S * one(shapes[2][1]))
+    K[b2:b3, b2:b3] = np.kron(one(shapes[2][0]), Dy * dy_r.T @ dy_r + S * one(shapes[2][1]))
     K[b2:b3, b2:b3] += twist * np.kron(dx_w.T @ dx_w, one(shapes[2][1]))
     K[b1:b2, b0:b1] = S * np.kron(dx_w, one(shapes[0][1]))
     K[b2:b3, b0:b1] = S * np.kron(one(shapes[0][0]), dy_w)
-    K[b2:b3, b1:b2] = D * nu * np.kron(dx_r, dy_r.T) + twist * np.kron(dx_w.T, dy_w)
+    K[b2:b3, b1:b2] = between * np.kron(dx_r, dy_r.T) + twist * np.kron(dx_w.T, dy_w)
     # The mass matrix is diagonal, since the polynomials are orthonormal.
     scale = np.concatenate([np.full(sizes[0], s.mass), np.full(sizes[1] + sizes[2], s.rotary)]) ** -0.5
     K *= scale[:, None] * scale

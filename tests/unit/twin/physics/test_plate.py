@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.twin.physics import material
+from touchd.twin.physics import in_plane, material
 from touchd.twin.physics.legendre import derivative, disc_average, disc_moments, values
 from touchd.twin.physics.material import ElasticPlate, Material, mindlin_wavenumber, stiffness_of
 from touchd.twin.physics.plate import polynomials_for, solve
@@ -46,6 +48,40 @@ def test_a_stiffer_material_moves_all_modes_by_one_factor(monkeypatch: pytest.Mo
     soft = material.MATERIALS["glass"]
     monkeypatch.setitem(material.MATERIALS, "glass", soft._replace(E_pa=soft.E_pa * 1.21))
     np.testing.assert_allclose(solve(plate, (12, 12)).omega_rad_s, 1.1 * before, rtol=1e-9)
+
+
+@given(orthotropy=st.floats(0.8, 1.25))
+def test_a_thin_rolled_sheet_is_an_isotropic_one_stretched(orthotropy: float) -> None:
+    """Coordinates scaled along one side turn one's energies into the other's, edges included."""
+    isotropic = Material(1e11, 0.3, 1000.0)
+    rolled = isotropic._replace(orthotropy=orthotropy)
+    narrower = 1000 * orthotropy**-0.25
+    other = isotropic._replace(E_pa=1e11 / orthotropy**0.5)
+    found, expected = (
+        solve(ElasticPlate(width_mm=width, height_mm=800, thickness_mm=1, elastic=elastic), (14, 14)).omega_rad_s[3:15]
+        for width, elastic in ((1000, rolled), (narrower, other))
+    )
+    np.testing.assert_allclose(found, expected, rtol=2e-4)
+
+
+@given(orthotropy=st.floats(0.8, 1.25), shear_ratio=st.floats(0.8, 1.2))
+def test_a_strip_of_rolled_sheet_bends_twists_and_stretches_as_bars_do(orthotropy: float, shear_ratio: float) -> None:
+    """Young's modulus along a narrow strip is in its bending and its sound, the shear modulus in its twist.
+
+    Euler and Bernoulli's beam, Saint-Venant's torsion (0.63 h/b less at the edges) and a bar's half wave.
+    """
+    elastic = Material(1e11, 0.0, 1000.0, orthotropy, shear_ratio)
+    long_m, wide_m, thick_m = 1.0, 0.02, 0.001
+    strip = ElasticPlate(width_mm=1e3 * long_m, height_mm=1e3 * wide_m, thickness_mm=1e3 * thick_m, elastic=elastic)
+    young, shear = 1e11 * orthotropy**0.5, shear_ratio * 0.5e11
+    beam = 22.3733 * thick_m / long_m**2 * np.sqrt(young / 12 / 1000)
+    twist = 2 * np.pi * thick_m / (long_m * wide_m) * np.sqrt(shear / 1000 * (1 - 0.63 * thick_m / wide_m))
+    omega = solve(strip, (16, 8)).omega_rad_s
+    assert np.abs(omega / beam - 1).min() < 2e-3
+    assert np.abs(omega / twist - 1).min() < 5e-3
+    lengthwise = np.pi / long_m * np.sqrt(young / 1000)
+    others = np.concatenate([each.omega_rad_s for each in in_plane.solve_classes(strip, (16, 8))])
+    assert np.abs(others / lengthwise - 1).min() < 1e-6
 
 
 def test_polynomials_are_orthonormal_and_differentiate_exactly() -> None:
