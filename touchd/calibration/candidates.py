@@ -2,7 +2,8 @@
 
 Each is tried on the first arrivals, at low frequencies, where a small eigenproblem does; in steady state, which has no
 first arrivals alone, on the whole frame. The best is then fitted whole.
-Soft edges, which the first arrivals hardly know, are tried on the whole frame from where the fit has ended.
+Soft edges and rolled sheet, which the first arrivals hardly know, are tried on the whole frame from where the fit has
+ended.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.loads import SIDES
-from touchd.calibration.parameters import Reader, held_sides
+from touchd.calibration.parameters import Reader, held_sides, is_plastic
 from touchd.calibration.plate_file import Edges, PlateFile
 from touchd.calibration.reduced_plate import Floats, ReducedPlate
 from touchd.calibration.stages import WHOLE, State, descend, window_of
@@ -39,6 +40,7 @@ MOST = 2
 SOFT_STEPS, SOFT_BETTER = 4, 0.9
 """Tape on soft edges leaves less than this share after so many steps, 0.42 to 0.83 where there is some (twin): other
 unknowns have taken its part, and yield in a fit of all."""
+ROLLED = "a sheet that is stiffer along one side fits, as rolled metal is: say `rolled = true` in PLATE.toml"
 BETTER = 0.7
 """A candidate leaves less than this share of what was said leaves."""
 
@@ -74,6 +76,20 @@ def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
     left = descend(UntouchedModel(plate, held, untouched), p, held.edges, WHOLE, SOFT_STEPS).left / state.left
     what = "tape or pads along the edges fit: say in PLATE.toml which edge is held"
     return [Candidate(taped, what, left)] if left < SOFT_BETTER else []
+
+
+def rolled(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPlate, *, near: bool) -> list[Candidate]:
+    """Return the plate as rolled sheet, if it is of metal and so leaves less than a fit that is `near` already."""
+    if said.plate.rolled or (said.plate.material or "").lower() == "glass" or is_plastic(said):
+        return []
+    sheet, a = _with(said, rolled=True), untouched.acquisition
+    if not near:
+        return [Candidate(sheet, ROLLED, 1.0)]
+    reader = Reader(sheet, a)
+    p = reader.start.copy()
+    p[reader.index(Reader(said, a).names)] = state.p
+    left = descend(UntouchedModel(plate, reader, untouched), p, (*state.names, *reader.rolled), WHOLE, SOFT_STEPS).left
+    return [Candidate(sheet, ROLLED, left / state.left)] if left < BETTER * state.left else []
 
 
 def _with(said: PlateFile, **changed: object) -> PlateFile:

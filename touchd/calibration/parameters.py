@@ -12,11 +12,12 @@ from touchd.calibration.loads import KINDS, SCATTERER, Discs, Edges, Guess, Loss
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Floats, Shape, shape_of
 from touchd.frame import Acquisition, Chirp, Plate
-from touchd.twin.physics.material import ElasticPlate, Material, material_of, mindlin_wavenumber
+from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material, material_of, mindlin_wavenumber
 from touchd.twin.physics.transducer import Layout, Scatterer
 
 STIFFNESS_M3 = 1e-7
-"""Unit of a disc's bending stiffness over the plate's Young's modulus: 6 mm of 2 mm PZT bonded to 5 mm glass have 2."""
+"""Unit of a disc's bending stiffness over the plate's Young's modulus: 6 mm of 2 mm PZT bonded to 5 mm glass have 2, of
+which the bond takes half."""
 DISC_THICKNESS_MM = 2.0
 """A disc's middle lies half of its and half of the plate's thickness below the plate's."""
 LOSSES = {"aluminium": 2e-3, "steel": 2e-3}
@@ -31,6 +32,10 @@ STRETCH_PRIOR = 0.5
 """Relative, of how far the plate's middle moves a disc in the plane over how far the plate's rotations do."""
 PLANE_PRIOR, LEAST_PLANE = 0.05, 0.1
 """Of stiffness over mass in the plane: a display of 0.7 mm bonded on 5 mm of glass takes 12 % of it across alone."""
+ROLLED_PRIOR = 0.05
+"""Of how stiff a sheet is along the width over along the height, and of how stiff in shear: rolling leaves 10 %."""
+ROLLED_RANGE = 0.5, 2.0
+"""Where they are read."""
 BOND_PRIOR = 0.3
 """Of how much stiffer one disc's bond is than another's, in the unit of stiffness."""
 BEAD_G, BEAD_G_PRIOR, BEAD_MM_PRIOR = 0.05, 0.03, 4.0
@@ -43,6 +48,7 @@ RADIUS_PRIOR, LEAST_RADIUS_MM = 0.5, 0.5
 
 FIRST = ("speed", "thickness", "loss")
 PLATE = ("speed", "thickness", "loss", "poisson", "width", "height", "slope")
+ROLLED = ("orthotropy", "shear_ratio")
 DISCS = ("mass", "radius", "stiffness", "gyration", "stretch", "plane")
 LOGARITHMS = frozenset({"speed", "thickness", "loss", "mass", "radius"})
 
@@ -63,16 +69,21 @@ def wavelength_mm(plate: Plate, chirp: Chirp) -> float:
     return 2e3 * np.pi / float(mindlin_wavenumber(plate, np.mean(chirp.band_hz)))
 
 
+def is_plastic(said: PlateFile) -> bool:
+    """Return whether a plate's waves are as slow as those of plastics."""
+    m = said.plate.elastic
+    return bool(np.sqrt(m.E_pa / m.rho_kg_m3) < PLASTIC_M_S)
+
+
 def usual_loss(said: PlateFile) -> float:
     """Return the loss factor that a plate of this material has as a rule."""
-    m = said.plate.elastic
-    other = PLASTIC_LOSS if np.sqrt(m.E_pa / m.rho_kg_m3) < PLASTIC_M_S else LOSS
+    other = PLASTIC_LOSS if is_plastic(said) else LOSS
     return LOSSES.get((said.plate.material or "").lower(), other)
 
 
 def unknowns_of(said: PlateFile, chirp: Chirp) -> tuple[Unknown, ...]:
     """Return the fit's unknowns for a plate: logarithms of positive numbers, lengths in mm."""
-    p, d, lever_mm = said.plate, said.discs, lever_mm_of(said)
+    p, d, lever_mm, stiff = said.plate, said.discs, lever_mm_of(said), disc_stiffness_of(said)
     found = [
         Unknown("speed", "wave speed", "m/s", 0.0, SPEED_PRIOR),
         Unknown("thickness", "thickness", "mm", 0.0, p.thickness_uncertainty_mm / p.thickness_mm),
@@ -83,11 +94,16 @@ def unknowns_of(said: PlateFile, chirp: Chirp) -> tuple[Unknown, ...]:
         Unknown("slope", "slope of the loss", "", 0.0, SLOPE_PRIOR),
         Unknown("mass", "disc mass", "g", 0.0, MASS_PRIOR),
         Unknown("radius", "disc diameter", "mm", 0.0, SIZE_PRIOR),
-        Unknown("stiffness", "disc stiffness", "1e-7 m^3", 1.0, STIFFNESS_PRIOR),
+        Unknown("stiffness", "disc stiffness", "1e-7 m^3", stiff, STIFFNESS_PRIOR * stiff),
         Unknown("gyration", "disc gyration, squared", "mm^2", 1.0, GYRATION_PRIOR),
         Unknown("stretch", "disc stretch", "1/mm", 1 / lever_mm, STRETCH_PRIOR / lever_mm),
         Unknown("plane", "in-plane stiffness", "", 1.0, PLANE_PRIOR),
     ]
+    if p.rolled:
+        found += [
+            Unknown("orthotropy", "stiffness along the width over that along the height", "", 1.0, ROLLED_PRIOR),
+            Unknown("shear_ratio", "stiffness in shear over an isotropic plate's", "", 1.0, ROLLED_PRIOR),
+        ]
     for side, kind in held_sides(said).items():
         start = start_of(kind, float(np.mean(chirp.band_hz)))
         found += [
@@ -107,7 +123,7 @@ def unknowns_of(said: PlateFile, chirp: Chirp) -> tuple[Unknown, ...]:
         for axis, value in zip("xy", place, strict=True):
             places.append(Unknown(f"{axis}{k}", f"{disc} {axis}", "mm", float(value), d.uncertainty_mm))
             beads.append(Unknown(f"bead {axis}{k}", f"disc bead {axis}, {disc}", "mm", 0.0, BEAD_MM_PRIOR))
-        bonds.append(Unknown(f"stiffness {k}", f"disc stiffer, {disc}", "1e-7 m^3", 0.0, BOND_PRIOR))
+        bonds.append(Unknown(f"stiffness {k}", f"disc stiffer, {disc}", "1e-7 m^3", 0.0, BOND_PRIOR * stiff))
         masses.append(Unknown(f"bead mass {k}", f"disc bead, {disc}", "g", BEAD_G, BEAD_G_PRIOR))
     return (*found, *places, *bonds, *beads, *masses)
 
@@ -115,6 +131,16 @@ def unknowns_of(said: PlateFile, chirp: Chirp) -> tuple[Unknown, ...]:
 def lever_mm_of(said: PlateFile) -> float:
     """Return the height of the discs' middle over the plate's."""
     return (said.plate.thickness_mm + DISC_THICKNESS_MM) / 2
+
+
+def disc_stiffness_of(said: PlateFile) -> float:
+    """Return what a bonded disc stiffens the plate by, in the unit of stiffness: a sheet at its height that bends.
+
+    It is less on metal and thin panes, to a ninth; at most 1, as on plastics a disc may be stiffer by far without
+    telling so.
+    """
+    face, height = said.discs.diameter_mm / 6, lever_mm_of(said) / 3.5
+    return min(face**2 * height**2 * MATERIALS["glass"].E_pa / said.plate.elastic.E_pa, 1.0)
 
 
 def held_sides(said: PlateFile) -> dict[str, str]:
@@ -141,6 +167,8 @@ class Reader:
         """What holds each side that is not free."""
         self.edges = tuple(f"{side} {kind}" for side in self.held for kind in KINDS)
         """Names of the edges' unknowns, for example `left damping`."""
+        self.rolled = tuple(name for name in ROLLED if name in self._at)
+        """Names of what a rolled sheet has."""
         self.scatterers = tuple(name for name in self.names if name.startswith("scatterer "))
         """Names of the scatterers' numbers."""
         self._plate, self._layout = said.twin_plate(), said.layout()
@@ -162,6 +190,7 @@ class Reader:
         shape = Shape(
             s.speed2 * np.exp(2 * v["speed"]), s.h * np.exp(v["thickness"]), v["poisson"],
             v["width"] * 1e-3, v["height"] * 1e-3, max(v["plane"], LEAST_PLANE),
+            *(np.clip(v.get(name, 1.0), *ROLLED_RANGE) for name in ROLLED),
         )  # fmt: skip
         discs = Discs(
             p[self._places].reshape(-1, 2) * 1e-3,
@@ -197,7 +226,7 @@ class Reader:
             "poisson": ("nu", 1.0), "width": ("width", 1e-3), "height": ("height", 1e-3), "slope": ("slope", 1.0),
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
             "stiffness": ("stiffness", STIFFNESS_M3), "gyration": ("gyration2", self._gyration2_m2),
-            "stretch": ("stretch", 1e3), "plane": ("plane", 1.0),
+            "stretch": ("stretch", 1e3), "plane": ("plane", 1.0), **{name: (name, 1.0) for name in self.rolled},
         }  # fmt: skip
         found |= {name: (name, 1.0) for name in self.edges}
         found |= {name: (name, unit) for name, unit in zip(self.scatterers, cycle(self._scatterer_units))}
@@ -213,7 +242,8 @@ class Reader:
         return ElasticPlate(
             width_mm=round(shape.width * 1e3, 3), height_mm=round(shape.height * 1e3, 3),
             thickness_mm=round(shape.h * 1e3, 6),
-            material=self._plate.material, elastic=Material(shape.speed2 * rho, shape.nu, rho),
+            material=self._plate.material,
+            elastic=Material(shape.speed2 * rho, shape.nu, rho, shape.orthotropy, shape.shear_ratio),
         )  # fmt: skip
 
     def layout(self, p: Floats) -> Layout:

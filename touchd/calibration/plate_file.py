@@ -46,6 +46,8 @@ class PlateSaid(_Table):
     young_gpa: float | None = Field(default=None, ge=0.1, le=2000)
     poisson: float | None = Field(default=None, ge=0, lt=0.5)
     density_kg_m3: float | None = Field(default=None, ge=100, le=30_000)
+    rolled: bool = False
+    """Whether it is rolled sheet, stiffer along one side than along the other."""
     width_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
     height_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
     thickness_uncertainty_mm: float = Field(default=0.03, gt=0, le=10)

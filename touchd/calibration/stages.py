@@ -22,6 +22,8 @@ EARLY, MIDDLE, WHOLE = 0.4, 0.7, 1.0
 reflections: a start 3 % off in wave speed still descends to the right minimum."""
 SPEEDS = np.linspace(-0.04, 0.04, 17)
 """Starts of the logarithm of the wave speed."""
+ORTHOTROPIES, SHEAR_RATIOS = (0.9, 0.95, 1.0, 1.05, 1.1), (0.92, 1.0)
+"""Starts of a rolled sheet."""
 RIVAL = 1.5
 """A second minimum of the scan is started from too while its misfit is less than this times the best one's."""
 MOVED_THICKNESS, MOVED_POISSON = 0.015, 0.03
@@ -135,22 +137,22 @@ def run_stages(
     places, edges = reader.places, (*reader.edges, *reader.scatterers)
 
     def fit_first(start: Floats) -> State:
-        state = descend(first, start, ("speed", "loss"), EARLY, 2)
-        return descend(first, state.p, ("speed", "loss", *places), EARLY, 3)
+        state = descend(first, start, ("speed", "loss", *reader.rolled), EARLY, 2)
+        return descend(first, state.p, ("speed", "loss", *reader.rolled, *places), EARLY, 3)
 
     best = min(map(fit_first, _starts(first)), key=lambda state: state.left)
     progress(0.4)
     model = UntouchedModel(plate, reader, untouched)
-    state = descend(model, best.p, (*FIRST, *edges, *places), MIDDLE, 3)
-    state = descend(model, state.p, (*FIRST, *edges, *places), WHOLE, 3)
+    state = descend(model, best.p, (*FIRST, *reader.rolled, *edges, *places), MIDDLE, 3)
+    state = descend(model, state.p, (*FIRST, *reader.rolled, *edges, *places), WHOLE, 3)
     progress(0.55)
-    state = descend(model, state.p, (*PLATE, *edges, *places), WHOLE, 4)
+    state = descend(model, state.p, (*PLATE, *reader.rolled, *edges, *places), WHOLE, 4)
     progress(0.7)
     here, there = model.plate.reference, reader.read(state.p).shape
     if abs(np.log(there.h / here.h)) >= MOVED_THICKNESS or abs(there.nu - here.nu) >= MOVED_POISSON:
         model = UntouchedModel(_plate_near(reader, state.p, untouched), reader, untouched)
     progress(0.8)
-    state = descend(model, state.p, (*PLATE, *DISCS, *edges, *places), WHOLE, 8)
+    state = descend(model, state.p, (*PLATE, *DISCS, *reader.rolled, *edges, *places), WHOLE, 8)
     energy = np.square(model.measured - model.beside(state.fitted)).sum()
     if state.left > HOPELESS * energy:
         return state, model
@@ -181,14 +183,25 @@ def _with_beads(model: UntouchedModel, state: State) -> Floats:
 
 def _starts(model: UntouchedModel) -> list[Floats]:
     """Return the vectors, one or two, from whose wave speed the first arrivals fit best."""
-    window = window_of(model, EARLY)
-    tried = np.repeat(model.reader.start[None], len(SPEEDS), axis=0)
-    tried[:, model.reader.index(("speed",))[0]] += SPEEDS
-    left = np.array([(model.fit(each, window).residual ** 2).sum() for each in tried])
+    window, rows = window_of(model, EARLY), list[tuple[Floats, Floats]]()
+    for start in _sheets(model.reader):
+        tried = np.repeat(start[None], len(SPEEDS), axis=0)
+        tried[:, model.reader.index(("speed",))[0]] += SPEEDS
+        rows.append((tried, np.array([(model.fit(each, window).residual ** 2).sum() for each in tried])))
+    tried, left = min(rows, key=lambda row: float(row[1].min()))
     padded = np.concatenate([[np.inf], left, [np.inf]])
     minima = np.flatnonzero((left <= padded[:-2]) & (left <= padded[2:]))
     minima = minima[np.argsort(left[minima])][:2]
     return [tried[i] for i in minima if left[i] < RIVAL * left[minima[0]]]
+
+
+def _sheets(reader: Reader) -> list[Floats]:
+    """Return the vectors from which a sheet is looked for: what was said, or for a rolled one each way it may be."""
+    if not reader.rolled:
+        return [reader.start]
+    found = np.repeat(reader.start[None], len(ORTHOTROPIES) * len(SHEAR_RATIOS), axis=0)
+    found[:, reader.index(reader.rolled)] = list(product(ORTHOTROPIES, SHEAR_RATIOS))
+    return list(found)
 
 
 def _plate_near(reader: Reader, p: Floats, untouched: Untouched) -> ReducedPlate:

@@ -17,10 +17,11 @@ from touchd.twin.physics.material import ElasticPlate, Material
 from touchd.twin.physics.mounting import Mounting, attach
 from touchd.twin.physics.transducer import Layout, default_layout
 
-GLASS, ACRYLIC, ALUMINIUM = (
+GLASS, ACRYLIC, ALUMINIUM, STEEL = (
     Material(71.1e9, 0.226, 2490.0),
     Material(3.25e9, 0.346, 1185.0),
     Material(69.2e9, 0.335, 2705.0),
+    Material(197e9, 0.285, 7830.0),
 )
 ACRYLIC_SAID = (("material", None), ("young_gpa", 3.3), ("poisson", 0.34), ("density_kg_m3", 1190.0))
 GAINS = (1.1, -0.8, 0.95, 0.7)
@@ -86,6 +87,10 @@ CASES = {
     "solid-discs-10": Case(G220, solid=True),
     "solid-discs-15": Case(G220, solid=True),
     "feedthrough": Case(G220, feedthrough=((0.0, 20.0), (-3.0, 200.0), (3.0, 60.0), (0.0, 340.0))),
+    "steel-150x110x2-audio-96": Case((150.0, 110.0, 2.0), "steel", STEEL, 3e-3, acquisition="audio-96"),
+    "rolled-steel-150x110x2": Case(
+        (150.0, 110.0, 2.0), "steel", STEEL._replace(orthotropy=1.06, shear_ratio=0.94), 3e-3
+    ),
 }
 
 

@@ -38,6 +38,7 @@ export function measures(t, save) {
     fields.replaceChildren(
       ...['width_mm', 'height_mm', 'thickness_mm'].map(name => input(name, t[name], plate[name])),
       select('material', t.material, { ...materials, ...(kept.plate?.young_gpa && { '': t.constants }) }, plate.material ?? ''),
+      select('sheet', t.sheet, t.sheets, plate.rolled ? 'rolled' : 'even'),
       select('edge', t.edge, { ...t.edges, each: t.each }, sides ? 'each' : plate.edge ?? 'free'),
       ...(sides ? Object.entries(t.sides).map(([side, text]) => select(`edge.${side}`, `${t.edge}: ${text}`, t.edges, plate.edge[side] ?? 'free')) : []),
       input('diameter_mm', t.diameter_mm, discs.diameter_mm), place('emitter', t.emitter, discs.emitter_mm),
@@ -52,7 +53,7 @@ export function measures(t, save) {
     const edge = said.edge !== 'each' ? said.edge : Object.fromEntries(Object.keys(t.sides).map(side => [side, said[`edge.${side}`] ?? 'free']));
     const material = said.material ? { material: said.material, young_gpa: undefined, poisson: undefined, density_kg_m3: undefined } : {};
     return {
-      plate: { ...kept.plate, width_mm: value('width_mm'), height_mm: value('height_mm'), thickness_mm: value('thickness_mm'), ...material, edge },
+      plate: { ...kept.plate, width_mm: value('width_mm'), height_mm: value('height_mm'), thickness_mm: value('thickness_mm'), ...material, rolled: said.sheet === 'rolled', edge },
       discs: { ...kept.discs, diameter_mm: value('diameter_mm'), emitter_mm: place('emitter'), receivers_mm },
     };
   }

@@ -87,9 +87,9 @@ export const texts = {
     measures: {
       hint: 'Measure from the plate’s top left corner as you look at it: x to the right, y down, in millimetres.',
       drawing: 'The plate and its discs, to scale',
-      width_mm: 'Width, mm', height_mm: 'Height, mm', thickness_mm: 'Thickness, mm', material: 'Material', edge: 'Edge',
+      width_mm: 'Width, mm', height_mm: 'Height, mm', thickness_mm: 'Thickness, mm', material: 'Material', sheet: 'Sheet', edge: 'Edge',
       diameter_mm: 'Disc diameter, mm', emitter: 'Emitter, E', receiver: n => `Receiver ${n}`, x: 'x, mm', y: 'y, mm',
-      materials: ['glass', 'pmma', 'aluminium', 'steel'], edges: { free: 'free', pads: 'pads', tape: 'tape', clamped: 'clamped' },
+      materials: ['glass', 'pmma', 'aluminium', 'steel'], sheets: { even: 'alike along both sides', rolled: 'rolled' }, edges: { free: 'free', pads: 'pads', tape: 'tape', clamped: 'clamped' },
       each: 'each side its own', sides: { left: 'Left', right: 'Right', top: 'Top', bottom: 'Bottom' }, constants: 'by its constants',
       more: 'One receiver more', less: 'One less', save: 'Save the measures',
       drops: n => `If you change size, thickness or material, the wizard discards ${n === 1 ? 'the tap: it belongs' : `the ${n} taps: they belong`} to the old drawing.`,
