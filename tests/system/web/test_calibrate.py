@@ -266,7 +266,11 @@ def test_no_wizard(tmp_path: Path, browser: Browser) -> None:
 
 
 def edges(rig: Rig, opened: Page) -> None:
-    """Save measures with edges of their own, and find them in the form of another visit; what it lacks stays."""
+    """Save measures of a rolled sheet with edges of their own, and find them in the form of another visit.
+
+    What the form lacks stays.
+    """
+    opened.locator("[name=sheet]").select_option("rolled")
     opened.locator("[name=edge]").select_option("each")
     opened.locator('[name="edge.left"]').select_option("tape")
     opened.get_by_role("button", name="Save the measures").click()
@@ -275,6 +279,7 @@ def edges(rig: Rig, opened: Page) -> None:
     assert 'left = "tape", right = "free"' in plate_file.read_text()
     asked: dict[str, Any] = {"do": "measures", "plate": tomllib.loads(plate_file.read_text())}
     asked["plate"]["plate"] |= {"width_uncertainty_mm": 0.2, "material": None, **CONSTANTS}
+    asked["plate"]["scatterers"] = hole = [{"at_mm": [40.0, 35.0], "diameter_mm": 8.0}]
     with socket.socket(socket.AF_UNIX) as other:
         other.connect(str(rig.folder / "wizard"))
         other.sendall(json.dumps(asked).encode() + b"\n")
@@ -286,7 +291,10 @@ def edges(rig: Rig, opened: Page) -> None:
     opened.locator('[name="edge.top"]').select_option("clamped")
     opened.get_by_role("button", name="Save the measures").click()
     expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
-    kept = tomllib.loads(plate_file.read_text())["plate"]
+    saved = tomllib.loads(plate_file.read_text())
+    kept = saved["plate"]
+    assert saved["scatterers"] == hole
+    assert kept["rolled"] is True
     assert kept["edge"] == {"left": "tape", "right": "free", "top": "clamped", "bottom": "free"}
     assert CONSTANTS.items() <= kept.items()
     assert kept["width_uncertainty_mm"] == 0.2

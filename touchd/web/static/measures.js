@@ -53,6 +53,7 @@ export function measures(t, save) {
     const edge = said.edge !== 'each' ? said.edge : Object.fromEntries(Object.keys(t.sides).map(side => [side, said[`edge.${side}`] ?? 'free']));
     const material = said.material ? { material: said.material, young_gpa: undefined, poisson: undefined, density_kg_m3: undefined } : {};
     return {
+      ...kept,
       plate: { ...kept.plate, width_mm: value('width_mm'), height_mm: value('height_mm'), thickness_mm: value('thickness_mm'), ...material, rolled: said.sheet === 'rolled', edge },
       discs: { ...kept.discs, diameter_mm: value('diameter_mm'), emitter_mm: place('emitter'), receivers_mm },
     };
