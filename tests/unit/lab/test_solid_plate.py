@@ -95,7 +95,7 @@ def test_a_disc_adds_its_mass_and_drives_as_it_senses() -> None:
 def test_default_layout() -> None:
     found = default_solid(220, 160, 5)
     np.testing.assert_allclose(found.discs_mm, default_layout(Plate(width_mm=220, height_mm=160)).centres_mm)
-    assert (found.E_pa, found.nu, found.rho_kg_m3) == tuple(GLASS)
+    assert (found.E_pa, found.nu, found.rho_kg_m3) == GLASS[:3]
 
 
 @pytest.mark.parametrize("loss", [0.0, 6e-3])
