@@ -40,7 +40,7 @@ MOST = 2
 SOFT_STEPS, SOFT_BETTER = 4, 0.9
 """Tape on soft edges leaves less than this share after so many steps, 0.42 to 0.83 where there is some (twin): other
 unknowns have taken its part, and yield in a fit of all."""
-ROLLED = "a sheet that is stiffer along one side fits, as rolled metal is: say `rolled = true` in PLATE.toml"
+SHEET_FITS = "a sheet that is stiffer along one side fits, as rolled metal is: say `rolled = true` in PLATE.toml"
 BETTER = 0.7
 """A candidate leaves less than this share of what was said leaves."""
 
@@ -84,12 +84,12 @@ def rolled(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPl
         return []
     sheet, a = _with(said, rolled=True), untouched.acquisition
     if not near:
-        return [Candidate(sheet, ROLLED, 1.0)]
+        return [Candidate(sheet, SHEET_FITS, 1.0)]
     reader = Reader(sheet, a)
     p = reader.start.copy()
     p[reader.index(Reader(said, a).names)] = state.p
     left = descend(UntouchedModel(plate, reader, untouched), p, (*state.names, *reader.rolled), WHOLE, SOFT_STEPS).left
-    return [Candidate(sheet, ROLLED, left / state.left)] if left < BETTER * state.left else []
+    return [Candidate(sheet, SHEET_FITS, left / state.left)] if left < BETTER * state.left else []
 
 
 def _with(said: PlateFile, **changed: object) -> PlateFile:

@@ -52,11 +52,11 @@ class Patch(NamedTuple):
     lever_m: float = 0.0
     """Height over the plate's middle of what bends, rolls and stretches as one; 0 for what lies in the middle."""
     round: bool = True
+    corner: bool = False
+    """Whether it is the triangle towards the rectangle's corner of least x and y."""
     orthotropy: float = 1.0
     shear_ratio: float = 1.0
     """Of the bending stiffness, as `Material` has them."""
-    corner: bool = False
-    """Whether it is the triangle towards the rectangle's corner of least x and y."""
 
 
 def disc_patches(layout: Layout) -> list[Patch]:
