@@ -122,6 +122,20 @@ def make_atlas(field: Field) -> Atlas:
     )  # fmt: skip
 
 
+@cache
+def yielding() -> Atlas:
+    """An atlas on a plate that yields by a share of 0.3, which has waves as the field has."""
+    atlas = make_atlas(Field())
+    rows, columns, _ = atlas.coefficients.shape
+    y, x = np.mgrid[:rows, :columns]
+    phases = 0.9 * x + np.arange(len(BINS))[:, None, None], 0.7 * y - 0.4 * np.arange(len(BINS))[:, None, None]
+    share = 0.15 * (np.exp(1j * phases[0]) + np.exp(-1j * phases[1]))
+    parts = np.concatenate([share.real, share.imag])
+    for axis in (1, 2):
+        parts = spline_filter1d(parts, 3, axis=axis, mode="mirror")
+    return replace(atlas, yields=np.ascontiguousarray(parts.transpose(1, 2, 0), np.float32))
+
+
 def in_double(atlas: Atlas) -> Atlas:
     """The same atlas in float64, as is all that is computed with it."""
     return replace(

@@ -11,6 +11,7 @@ the standard error come from touches drawn on the fitted plate, of other contact
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +40,11 @@ STEPS_PER_WAVE = 3.9
 2e-6 of the field's energy, 3e-5 at the edges; another contact area changes 3e-4 of it (twin)."""
 AREAS = (0.6, 1.4)
 """Contact areas of the touches that tell the field's error, over the reference's."""
+STEADY_AREAS = (0.4, 2.0)
+"""The same in steady state, where the atlas knows what weighs on the plate: what it still misses grows with that."""
 DRAWN = 300
 _DENSE_CELLS = 2
+_WEIGHINGS = 2
 _SEED = 0xF1E1D
 
 
@@ -74,7 +78,8 @@ class PhysicalField:
 
     def __init__(self, fit: PlateFit) -> None:
         a = fit.acquisition
-        self.reference = LIGHT_FINGER if a.chirp.period_s is not None else TIP
+        self.steady = a.chirp.period_s is not None
+        self.reference, self.areas = (LIGHT_FINGER, STEADY_AREAS) if self.steady else (TIP, AREAS)
         self._size_mm = np.array(fit.plate.size_mm)
         record = Record(a)
         nu = record.nu_rad_s
@@ -84,6 +89,7 @@ class PhysicalField:
         gain = fit.gains @ np.stack([x**k for k in range(fit.gains.shape[1])])
         self._heard = emission(a, nu) * gain  # (R, F)
         self._to_bins = spectra_to_bins(record, a)
+        self._hz, self.bins_hz = record.hz, band_bins(a) * a.sample_rate_hz / a.samples
 
     def at(self, position_mm: Floats, touch: Reference | None = None) -> Complex:
         """Return the bins of touches, by default the reference's, at positions (n, 2) on the plate, shape (n, R, bins).
@@ -93,14 +99,31 @@ class PhysicalField:
         starts, touch = range(0, len(position_mm), _BLOCK), touch or self.reference
         return np.concatenate([self._block(np.asarray(position_mm[i : i + _BLOCK], float), touch) for i in starts])
 
-    def _block(self, position_mm: Floats, touch: Reference) -> Complex:
+    def yields(self, position_mm: Floats) -> Complex:
+        """Return the share of the wave that the reference takes from itself at positions (n, 2), shape (n, bins).
+
+        It holds for the lines of a steady state: of a short frame the bins mix frequencies.
+        """
+        shape, load = self._contact(position_mm, self.reference)
+        taken = load * self._response.receptance(shape, shape)
+        share = taken / (1 + taken)
+        lines = [np.interp(self.bins_hz, self._hz, part) for each in share.T for part in (each.real, each.imag)]
+        real, imaginary = np.array(lines).reshape(len(position_mm), 2, -1).swapaxes(0, 1)
+        return np.asarray(real + 1j * imaginary)
+
+    def _contact(self, position_mm: Floats, touch: Reference) -> tuple[Floats | Complex, Complex]:
+        """Return what the plate's modes are at contacts, and how they weigh on it, shape (F, 1)."""
         position_mm = np.clip(position_mm, 0.0, self._size_mm)  # rounded sizes may lie a nanometre beyond
         edge_mm = np.minimum(position_mm, self._size_mm - position_mm).min(axis=1)
         # Of a disc as wide as the plate admits rounding must not reach over the edge.
         area = np.minimum(touch.face_mm2, (1 - 1e-9) * np.pi * np.maximum(edge_mm, 0.0) ** 2)
-        response, nu = self._response, self._response.nu_rad_s
-        shape = response.shape_at(position_mm[:, 0], position_mm[:, 1], area)
-        load = (1j * nu * impedance(touch.tissue, nu, touch.area_mm2))[:, None]
+        nu = self._response.nu_rad_s
+        shape = self._response.shape_at(position_mm[:, 0], position_mm[:, 1], area)
+        return shape, (1j * nu * impedance(touch.tissue, nu, touch.area_mm2))[:, None]
+
+    def _block(self, position_mm: Floats, touch: Reference) -> Complex:
+        shape, load = self._contact(position_mm, touch)
+        response = self._response
         taken = -load / (1 + load * response.receptance(shape, shape))  # (F, n)
         taken *= response.receptance(self._discs[:, :1], shape)
         bins = []
@@ -173,10 +196,12 @@ def make_physical_atlas(
     snr = np.square(np.abs(values)).mean(axis=(0, 1)) / max(variance, 1e-12)
     kept = informative(snr, wavenumber_rad_m, a)
     weight = weights(snr, a)[kept]
-    rows = []
+    rows, shares, steady = [], [], a.chirp.period_s is not None
     for done, y_mm in enumerate(y.samples_mm):
         places = np.stack([x.samples_mm, np.full_like(x.samples_mm, y_mm)], axis=1)
         rows.append(field.at(places)[..., kept] * weight)
+        if steady:
+            shares.append(field.yields(places)[:, None, kept])
         progress("field", (done + 1) / len(y.samples_mm))
     description = AtlasDescription(
         acquisition=a, plate=plate, taper=TAPER, bins=tuple(map(int, band_bins(a)[kept])), step_mm=step_mm,
@@ -189,14 +214,31 @@ def make_physical_atlas(
         description, coefficients_of(np.concatenate(rows), x, y), fit.measured.astype(np.float32),
         np.zeros((a.channels, len(kept)), np.float32),
     )  # fmt: skip
-    return calibrated(plain, fit.lacking, position_mm, values[..., kept] * weight, noise_counts)
+    values = values[..., kept] * weight
+    if steady:
+        yields = coefficients_of(np.concatenate(shares), x, y)
+        values = as_reference(plain, values, position_mm, field.yields(position_mm)[:, kept])
+        plain = replace(plain, yields=yields)
+    return calibrated(plain, fit.lacking, position_mm, values, noise_counts)
+
+
+def as_reference(plain: Atlas, values: Complex, position_mm: Floats, yields: Complex) -> Complex:
+    """Return touches (n, R, bins) as the plate would answer if each weighed as much as the reference.
+
+    `yields` (n, bins) are the reference's shares at their places. What each weighs is told by its amplitude.
+    """
+    found = values
+    for _ in range(_WEIGHINGS):
+        size = np.abs(place(plain, found, position_mm).amplitude)
+        found = values * (1 + (size[:, None, None] - 1) * yields[:, None])
+    return np.asarray(found)
 
 
 def draw(field: PhysicalField, size_mm: Floats) -> tuple[Floats, Complex]:
     """Draw touches of other areas than the atlas' all over the plate: places (n, 2) and exact bins (n, R, b)."""
     rng = np.random.default_rng(_SEED)
-    ratios, touch = np.linspace(*AREAS, 5), field.reference
-    margin_mm = np.sqrt(AREAS[1] * touch.face_mm2 / np.pi)
+    ratios, touch = np.linspace(*field.areas, 5), field.reference
+    margin_mm = np.sqrt(field.areas[1] * touch.face_mm2 / np.pi)
     position_mm = rng.uniform(margin_mm, size_mm - margin_mm, (DRAWN, 2))
     parts = np.array_split(position_mm, len(ratios))
     values = [
@@ -220,7 +262,7 @@ def calibrated(plain: Atlas, lacking: float, position_mm: Floats, values: Comple
     # The touches drawn lack nothing of the fit's physics: they scale their own error alone.
     field_scale = float(np.average((drawn_scale, UNUSUAL), weights=(error.mean(), lack.mean())))
     description = plain.description.model_copy(update={"noise_scale": noise_scale, "field_scale": field_scale})
-    return Atlas(description, plain.coefficients, plain.baseline, (error + lack).astype(np.float32))
+    return replace(plain, description=description, error=(error + lack).astype(np.float32))
 
 
 def lack_of_physics(field: Complex, lacking: float) -> Floats:

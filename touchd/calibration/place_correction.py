@@ -19,7 +19,7 @@ from touchd.calibration.physical_atlas import coefficients_of, grid_of
 from touchd.calibration.plate_fit import CLAMPED_MM, GOOD_MM, MODEL, PlateFit
 from touchd.calibration.reduced_plate import Floats
 from touchd.localization.atlas import Atlas
-from touchd.training.field.place import FieldMap
+from touchd.training.field.place import FieldMap, yields_of
 
 LABELS_MM = np.geomspace(0.1, 10.0, 41)
 """Labels' errors per axis that are tried."""
@@ -162,4 +162,7 @@ def with_places(atlas: Atlas, correction: PlaceCorrection) -> Atlas:
         "origin_mm": (float(x.nodes_mm[0]), float(y.nodes_mm[0])),
         "high_mm": (float(size[0]), float(size[1])),
     })  # fmt: skip
-    return replace(atlas, description=description, coefficients=coefficients_of(values, x, y))
+    yields = atlas.yields
+    if yields is not None:
+        yields = coefficients_of(FieldMap(atlas, yields_of(atlas)).at(before), x, y)
+    return replace(atlas, description=description, coefficients=coefficients_of(values, x, y), yields=yields)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -26,6 +26,7 @@ MAX_BYTES = 32_000_000
 """A plate of 30 wavelengths has fewer."""
 _MAX_LOADED_BYTES = 3 * MAX_BYTES  # a field compresses by less than 2
 _KEYS = ("format", "version", "description", "coefficients", "scale", "baseline", "error")
+_YIELDS = "yields"
 _MAX_COUNTS = 1e9
 """Of a field at strength 1, and of its mean square error; squares of more overflow float32."""
 _MARGIN_NODES = 2
@@ -97,6 +98,10 @@ class Atlas:
     """The untouched plate at the temperature that the field is meant for, shape (channels, samples), ADC counts."""
     error: Array
     """Mean square of what the field misses in each channel and bin at strength 1, shape (channels, bins)."""
+    yields: Array | None = None
+    """Coefficients of the share of the wave that a touch of strength 1 takes from itself, as the plate yields under it,
+    shape (rows, columns, 2 * bins); None where a touch is so light, or the frame so short, that the field just grows
+    with it (`touchd.localization.loading`)."""
 
     @property
     def size(self) -> int:
@@ -120,12 +125,13 @@ def save_atlas(atlas: Atlas, path: Path) -> None:
         It cannot be written, or would be larger than `MAX_BYTES`.
     """
     scale = np.float32(np.abs(atlas.coefficients).max() or 1.0)
+    more: dict[str, Any] = {} if atlas.yields is None else {_YIELDS: atlas.yields.astype(np.float16)}
     with replacing(path) as file:
         np.savez_compressed(
             file, format=np.array(FORMAT), version=np.array(1),
             description=np.array(atlas.description.model_dump_json()),
             coefficients=(atlas.coefficients / scale).astype(np.float16), scale=np.array(scale),
-            baseline=atlas.baseline, error=atlas.error,
+            baseline=atlas.baseline, error=atlas.error, **more,
         )  # fmt: skip
         size_bytes = file.tell()
         if size_bytes > MAX_BYTES:
@@ -145,7 +151,7 @@ def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
         If the file is no atlas, or its parts do not fit each other.
     """
     try:
-        found = npz.load(path, _KEYS, _MAX_LOADED_BYTES)
+        found = npz.load(path, (*_KEYS, _YIELDS), _MAX_LOADED_BYTES)
     except RecordingError as error:
         raise _invalid(path, str(error)) from error
     missing = [key for key in _KEYS if key not in found]
@@ -156,7 +162,7 @@ def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
     except ValidationError as error:
         first = error.errors()[0]
         raise _invalid(path, f"description: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-    numbers = ("coefficients", "scale", "baseline", "error")
+    numbers = ("coefficients", "scale", "baseline", "error", *({_YIELDS} & found.keys()))
     if found["scale"].shape != () or any(found[key].dtype.kind != "f" for key in numbers):
         raise _invalid(path, f"{', '.join(f'{key} {found[key].dtype}{found[key].shape}' for key in numbers)}")
     with np.errstate(all="ignore"):  # what overflows is infinite, and refused
@@ -166,6 +172,7 @@ def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
             np.ascontiguousarray(coefficients),
             found["baseline"].astype(dtype),
             found["error"].astype(dtype),
+            np.ascontiguousarray(found[_YIELDS].astype(dtype)) if _YIELDS in found else None,
         )
     _check(atlas, path)
     return atlas
@@ -182,6 +189,8 @@ def _check(atlas: Atlas, path: Path) -> None:
     if atlas.baseline.shape != d.acquisition.shape or atlas.error.shape != (channels, bins):
         raise _invalid(path, f"baseline of shape {atlas.baseline.shape} and error of shape {atlas.error.shape}")
     rows, columns, _ = atlas.coefficients.shape
+    if atlas.yields is not None and atlas.yields.shape != (rows, columns, 2 * bins):
+        raise _invalid(path, f"yields of shape {atlas.yields.shape}, not {(rows, columns, 2 * bins)}")
     reach_mm = (
         d.origin_mm[0] + (columns - _MARGIN_NODES) * d.step_mm, d.origin_mm[1] + (rows - _MARGIN_NODES) * d.step_mm
     )  # fmt: skip
@@ -194,7 +203,15 @@ def _check(atlas: Atlas, path: Path) -> None:
         raise _invalid(path, f"bins from {d.bins[0]} to {d.bins[-1]} of {d.acquisition.samples} samples")
     if d.weights and (len(d.weights) != bins or not all(0 < weight <= 1 for weight in d.weights)):
         raise _invalid(path, f"{len(d.weights)} weights of {bins} bins, or one beyond 0 to 1")
-    largest = [float(np.abs(array).max()) for array in (atlas.coefficients, atlas.baseline, atlas.error)]
+    largest = [
+        float(np.abs(array).max())
+        for array in (
+            atlas.coefficients,
+            atlas.baseline,
+            atlas.error,
+            *([] if atlas.yields is None else [atlas.yields]),
+        )
+    ]
     if not all(value <= _MAX_COUNTS for value in largest):  # NaN too
         raise _invalid(path, "numbers that are none, or too large")
     if not largest[0] or float(atlas.error.min()) < 0:

@@ -75,13 +75,19 @@ class ContactModel:
         count = len(positions_mm)
         own = _AMPLITUDES * count
         at = [self._field.inside(*position) for position in positions_mm]
+        sizes, sized = [1.0] * count, False
         while True:
             self._load(bins, count)  # others may have been fitted since the last piece
-            at, gram = self._gram(at, whiten)
+            at, gram = self._gram(at, sizes, whiten)
             normal, right = gram[:own, :own], gram[:own, -1]
             ridge = _ridge(normal, right, max(variance, unexplained / bins.vector.size))
             solved = np.linalg.solve(normal + ridge, gram[:own, own:])
             amplitudes = solved[:, -1]
+            if self._field.loading:
+                sizes = _sizes(normal, amplitudes)
+                if not sized:  # the first look, as at the reference touch, only tells how heavy they are
+                    sized = True
+                    continue
             unexplained = float((gram[-1, -1] - amplitudes.conj() @ (right + ridge @ amplitudes)).real)
             slopes = _slopes(amplitudes.reshape(count, _AMPLITUDES))
             # What the amplitudes leave of the products of the slopes with each other, and with the frame.
@@ -127,14 +133,16 @@ class ContactModel:
         np.copyto(self._rows[:, needed - 1].reshape(parts.shape), parts)
         self._mask = None if bins.mask is None else bins.mask.reshape(self._shape)[:, 0].ravel()
 
-    def _gram(self, positions_mm: Sequence[Position], whiten: Complex | None) -> tuple[list[Position], Complex]:
+    def _gram(
+        self, positions_mm: Sequence[Position], sizes: Sequence[float], whiten: Complex | None
+    ) -> tuple[list[Position], Complex]:
         """Return the raster points, and the complex products of all rows with each other."""
         count, block, band, at = len(positions_mm), self._block, self._field.band, []
         last = (_AMPLITUDES + _SLOPES) * count
         rows = self._rows[:, : last + 1]
         self.steps += count
         for k, position in enumerate(positions_mm):
-            at.append(self._field.derivatives(*position, block))
+            at.append(self._field.derivatives(*position, block, sizes[k]))
             if self._mask is not None:
                 np.multiply(block, self._mask, block)
             own, slope = _AMPLITUDES * k, _AMPLITUDES * count + _SLOPES * k
@@ -164,6 +172,15 @@ class ContactModel:
             moved.append(self._field.inside(x + shorter * step_x, y + shorter * step_y))
             longest_mm = max(longest_mm, length)
         return longest_mm, moved
+
+
+def _sizes(normal: Complex, amplitudes: NDArray[np.complexfloating]) -> list[float]:
+    """Return the moduli of contacts' amplitudes as points', from the products of their rows."""
+    found = []
+    for k in range(0, len(amplitudes), _AMPLITUDES):
+        part = slice(k, k + _AMPLITUDES)
+        found.append(abs(complex(normal[k, part] @ amplitudes[part])) / max(float(normal[k, k].real), 1e-30))
+    return found
 
 
 def size_mm2(fit: Fit) -> float:

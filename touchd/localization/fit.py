@@ -89,6 +89,12 @@ def shapes_of(fit: Fit) -> list[Shape]:
     ]
 
 
+def sizes_of(amplitudes: Sequence[complex], turns: Sequence[complex]) -> list[float]:
+    """Return how heavy fingers are: the moduli of their amplitudes, as points'; `turns` are those of a fit."""
+    sizes = list(map(abs, amplitudes))
+    return [size * abs(turn) for size, turn in zip(sizes, turns, strict=True)] if turns else sizes
+
+
 def sigmas_mm(fisher_information: Matrix, variance: float) -> list[float]:
     """Return each finger's standard error per axis, mm: the root mean square over both axes.
 

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from touchd.localization import joint
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
-from touchd.localization.fit import SHAPE_COST, Bins, Fit, Matrix, Steps, finish, no_fit, shapes_of
+from touchd.localization.fit import SHAPE_COST, Bins, Fit, Matrix, Steps, finish, no_fit, shapes_of, sizes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.spline import ContactField, Position, Shape, Spline
 
@@ -82,13 +82,18 @@ class GaussNewton:
             self._load(bins)
         inside, look_up, most = self._spline.inside, self._look_up, steps
         x, y = inside(x_mm, y_mm)
+        size, sized, less = 1.0, self._spline.loading is None, abs(turns[0]) if turns else 1.0
         while True:
-            x, y = look_up(x, y, shape)
+            x, y = look_up(x, y, shape, size)
             self._fields.dot(self._columns, self._gram)
             self._flat_gram.dot(self._of_gram, self._sums)
             amplitude, explained, (a, b, c), (right_x, right_y), (along_x, along_y) = joint.step_of_one(
                 self._sums.tolist()
             )
+            size = less * abs(amplitude)
+            if not sized:  # the first look, as at the reference touch, only tells how heavy the finger is
+                sized, most = True, most + 1
+                continue
             steps -= 1
             det = a * c - b * b
             if det <= 0:
@@ -124,9 +129,13 @@ class GaussNewton:
         self._load(bins)
         inside = self._spline.inside
         at, gained = [inside(*position) for position in positions_mm], 0.0
+        sizes: list[float] = []
+        if self._spline.loading:
+            sizes = sizes_of(joint.step(self._products(at, shapes)[1]).amplitudes, turns)
         for step in range(steps + 1):
-            at, products = self._products(at, shapes)
+            at, products = self._products(at, shapes, sizes)
             found = joint.step(products)
+            sizes = sizes_of(found.amplitudes, turns)
             if step == steps:
                 break
             longest_mm, moves = 0.0, iter(found.move)
@@ -198,7 +207,7 @@ class GaussNewton:
         return shaped if is_finger else no_fit(bins.energy)
 
     def _products(
-        self, positions_mm: Sequence[Position], shapes: Sequence[Shape]
+        self, positions_mm: Sequence[Position], shapes: Sequence[Shape], sizes: Sequence[float] = ()
     ) -> tuple[list[Position], joint.Products]:
         """Return the raster points, and the products of the fingers' fields and slopes, as `joint.step` takes them."""
         count = len(positions_mm)
@@ -209,7 +218,7 @@ class GaussNewton:
         self._look_ups += count
         at = []
         for k, position in enumerate(positions_mm):
-            at.append(self._look_up(*position, shapes[k] if shapes else None))
+            at.append(self._look_up(*position, shapes[k] if shapes else None, sizes[k] if sizes else 1.0))
             rows[k] = self._value.reshape(-1)
             slope = count + 2 * k
             rows[slope : slope + 2] = self._field[1:]
@@ -233,7 +242,7 @@ class GaussNewton:
         """
         self._load(bins)
         z, shapes = fit.amplitudes[0], shapes_of(fit)
-        self._look_up(*fit.positions_mm[0], shapes[0] if shapes else None)
+        self._look_up(*fit.positions_mm[0], shapes[0] if shapes else None, sizes_of([z], fit.turns)[0])
         real, imaginary = self._field.reshape(3, 2, -1).swapaxes(0, 1)
         u, u_x, u_y = real + _I * imaginary
         parts = [z * (along - u * (np.vdot(u, along) / np.vdot(u, u))) for along in (u_x, u_y)]
@@ -264,8 +273,10 @@ class GaussNewton:
         if len(shapes) > len(self._parts):
             self._parts = np.zeros((len(shapes), *self._left.shape), self._left.dtype)
         turn = self._turn
-        for (x, y), amplitude, shape, part in zip(fit.positions_mm, fit.amplitudes, shapes, self._parts, strict=False):
-            self._look_up(x, y, shape)
+        amplitudes = fit.amplitudes
+        each = zip(fit.positions_mm, amplitudes, shapes, sizes_of(amplitudes, fit.turns), self._parts, strict=False)
+        for (x, y), amplitude, shape, size, part in each:
+            self._look_up(x, y, shape, size)
             turn[0, 0] = turn[1, 1] = amplitude.real
             turn[1, 0], turn[0, 1] = amplitude.imag, -amplitude.imag
             turn.dot(self._value, part)
@@ -280,10 +291,10 @@ class GaussNewton:
             self._mask = bins.mask
             self._ordered_mask = None if bins.mask is None else bins.mask[self._order]
 
-    def _look_up(self, x_mm: float, y_mm: float, shape: Shape | None = None) -> Position:
+    def _look_up(self, x_mm: float, y_mm: float, shape: Shape | None = None, size: float = 1.0) -> Position:
         """Evaluate the masked field and its derivatives (per mm) into `_field`, and return the raster point."""
         at_shape = self._contact_field.of_shape
-        position = self._spline.at(x_mm, y_mm) if shape is None else at_shape(x_mm, y_mm, shape)
+        position = self._spline.at(x_mm, y_mm, size) if shape is None else at_shape(x_mm, y_mm, shape, size)
         if self._ordered_mask is not None:
             np.multiply(self._field, self._ordered_mask, self._field)
         return position

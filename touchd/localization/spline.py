@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
+from touchd.localization.loading import Loading
+from touchd.localization.spline_weights import PER_CELL, SLOPES, spline_weights
 
 Position = tuple[float, float]
 """x and y, mm."""
 Shape = tuple[complex, ...]
 """Slope along the band, and the second-order amplitudes (mm^2) along xx, yy and xy, all over the amplitude."""
 
-PER_CELL = 4096
-"""The field is looked up on a raster of 4096 points per cell (0.6 um on the shipped grid), so that the spline weights
-come from a table. A fit starts from the raster's point, and its last step leads anywhere: nothing is rounded away."""
 CONTACT_PER_CELL = 256
-"""The same of contacts with a shape, which need more derivatives: 10 um. Small tables stay in the caches."""
-SLOPES = ((0, 0), (1, 0), (0, 1))
-"""Orders along x and y of the field, and of its slopes."""
+"""`PER_CELL` of contacts with a shape, which need more derivatives: 10 um. Small tables stay in the caches."""
 CELLS = 4
 """Cells whose nodes are cached: those of a few fingers, and the ones they move to."""
 SHAPES = 8
@@ -31,8 +25,6 @@ ORDERS = ((0, 0), (2, 0), (0, 2), (1, 1), (1, 0), (0, 1), (3, 0), (0, 3), (2, 1)
 U, XX, YY, XY, X, Y, XXX, YYY, XXY, XYY = range(10)
 TERMS = ((U, XX, YY, XY), (X, XXX, XYY, XXY), (Y, XXY, YYY, XYY))
 """What the field, its slope by x and its slope by y hold: first of u, then of its second derivatives."""
-# From powers of the fraction of a cell to the four cubic B-splines that are not zero there.
-_SPLINES = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], np.float64) / 6
 
 
 class Raster:
@@ -59,6 +51,8 @@ class Raster:
         self._grid = per_cell, per_cell / d.step_mm, d.step_mm / per_cell, *d.origin_mm
         self.low_mm, self.high_mm = known_part_mm(atlas)
         self._limits = (*self.low_mm, *self.high_mm)
+        self.loading = Loading(atlas) if atlas.yields is not None else None
+        """Of an atlas that knows how the plate yields under a contact."""
         self._cells = {(-1, k): np.zeros((16, atlas.size), dtype) for k in range(CELLS)}
 
     def inside(self, x_mm: float, y_mm: float) -> Position:
@@ -108,10 +102,15 @@ class Spline(Raster):
         super().__init__(atlas, PER_CELL, SLOPES)
         self._into = into
 
-    def at(self, x_mm: float, y_mm: float) -> Position:
-        """Evaluate the field at the raster point nearest to a position inside, and return that point."""
+    def at(self, x_mm: float, y_mm: float, size: float = 1.0) -> Position:
+        """Evaluate the field at the raster point nearest to a position inside, and return that point.
+
+        It is over its amplitude, of modulus `size`.
+        """
         position, around = self._weigh(x_mm, y_mm)
         self._by_order.dot(around, self._into)
+        if self.loading:
+            self.loading.weigh(*position, size, self._into)
         return position
 
 
@@ -144,16 +143,18 @@ class ContactField(Raster):
         self._alone, self._along = self._sums[:6], self._sums[6:]
         self._bands = np.tile(self.band, (6, 1))  # written out: a product of like shapes is quicker
 
-    def derivatives(self, x_mm: float, y_mm: float, into: Array) -> Position:
+    def derivatives(self, x_mm: float, y_mm: float, into: Array, size: float = 1.0) -> Position:
         """Evaluate u and its derivatives at the raster point nearest to a position inside, and return that point.
 
-        `into`, shape (2, 10, size / 2), receives real and imaginary parts of `ORDERS`, per mm.
+        `into`, shape (2, 10, half an atlas' size), receives real and imaginary parts of `ORDERS`, per mm.
         """
         position, around = self._weigh(x_mm, y_mm)
         np.matmul(self._by_order, around.reshape(16, 2, -1).swapaxes(0, 1), into)
+        if self.loading:
+            self.loading.weigh(*position, size, into.swapaxes(0, 1))
         return position
 
-    def of_shape(self, x_mm: float, y_mm: float, shape: Shape) -> Position:
+    def of_shape(self, x_mm: float, y_mm: float, shape: Shape, size: float = 1.0) -> Position:
         """Evaluate the field of a contact of amplitude 1, as `Spline.at` does that of a point."""
         mixture = self._mixtures.get(shape)
         if mixture is None:
@@ -163,6 +164,8 @@ class ContactField(Raster):
         self._shares.dot(around.reshape(32, -1), self._sums)
         np.multiply(self._along, self._bands, self._along)
         np.add(self._alone, self._along, self._halves)
+        if self.loading:
+            self.loading.weigh(*position, size, self._halves.reshape(3, -1))
         return position
 
     def _mix(self, shape: Shape) -> Array:
@@ -208,23 +211,3 @@ def known_part_mm(atlas: Atlas) -> tuple[Position, Position]:
     low = max(0.0, x0_mm + step_mm), max(0.0, y0_mm + step_mm)
     last = columns - 2 - 1 / CONTACT_PER_CELL, rows - 2 - 1 / CONTACT_PER_CELL
     return low, (min(d.plate.width_mm, x0_mm + last[0] * step_mm), min(d.plate.height_mm, y0_mm + last[1] * step_mm))
-
-
-@cache
-def spline_weights(
-    step_mm: float, dtype: np.dtype[Any], orders: tuple[tuple[int, int], ...], per_cell: int
-) -> tuple[list[Array], list[Array]]:
-    """Return the weights of 16 nodes for derivatives of the field, by a position's row and by its column.
-
-    Both have `per_cell` rows of 16 * derivatives, written out in full: the weights are their product, and the product
-    of two long rows is quicker than that of many short ones. `orders` are those along x and y, per mm.
-    """
-    t = np.arange(per_cell) / per_cell
-    zero, one = np.zeros_like(t), np.ones_like(t)
-    powers = ([one, t, t**2, t**3], [zero, one, 2 * t, 3 * t**2], [zero, zero, 2 * one, 6 * t], [zero] * 3 + [6 * one])
-    of_order = [
-        (np.stack(power, axis=1) @ _SPLINES / step_mm**order).astype(dtype) for order, power in enumerate(powers)
-    ]
-    of_rows = np.concatenate([np.repeat(of_order[along_y], 4, axis=1) for _, along_y in orders], axis=1)
-    of_columns = np.concatenate([np.tile(of_order[along_x], 4) for along_x, _ in orders], axis=1)
-    return list(of_rows), list(of_columns)

@@ -28,7 +28,7 @@ import numpy as np
 from msgspec import Struct
 
 from touchd.localization.atlas import Atlas, AtlasDescription
-from touchd.localization.fit import Bins, Fit, shapes_of
+from touchd.localization.fit import Bins, Fit, shapes_of, sizes_of
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
 from touchd.localization.spline import ContactField, Position, Shape, Spline
@@ -137,13 +137,13 @@ class MassPhase:
 
     def _look_up(self, fit: Fit, k: int) -> None:
         """Look up the field that tells the phase of contact `k`: the atlas' own, a point's, or that of its shape."""
-        at, size = fit.positions_mm[k], abs(fit.amplitudes[k])
+        at, size, heavy = fit.positions_mm[k], abs(fit.amplitudes[k]), sizes_of(fit.amplitudes, fit.turns)[k]
         if self._faces and size < POINT_SIZE:
-            self._faces.of_shape(*at, self._point)
+            self._faces.of_shape(*at, self._point, heavy)
         elif self._faces and fit.shapes and (self._shapes_tell or size < SMALL_SIZE):
-            self._faces.of_shape(*at, shapes_of(fit)[k])
+            self._faces.of_shape(*at, shapes_of(fit)[k], heavy)
         else:
-            self._spline.at(*at)
+            self._spline.at(*at, heavy)
 
 
 def _error_share(atlas: Atlas) -> float:

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from touchd.localization.atlas import Atlas
 from touchd.localization.contact_model import Complex, ContactModel, mean_moment_mm2
 from touchd.localization.estimator import Finger
-from touchd.localization.fit import Bins, Fit, finish, sigmas_mm
+from touchd.localization.fit import Bins, Fit, finish, sigmas_mm, sizes_of
 from touchd.localization.spline import ContactField, Position, Spline
 
 FIELD = 0.55
@@ -120,8 +120,10 @@ class WeightedFit:
         covariance = np.zeros((count, channels, channels), complex)
         own = np.full((count, channels), 2 * variance)
         mask = None if bins.mask is None else bins.mask.reshape(channels, 2, count)[:, 0]
-        for (x_mm, y_mm), z, share in zip(fit.positions_mm, fit.amplitudes, shares(fit), strict=True):
-            u = self._look_up(self._spline.inside(x_mm, y_mm), mask)
+        sizes = sizes_of(fit.amplitudes, fit.turns)
+        each = zip(fit.positions_mm, fit.amplitudes, sizes, shares(fit), strict=True)
+        for (x_mm, y_mm), z, size, share in each:
+            u = self._look_up(self._spline.inside(x_mm, y_mm), size, mask)
             power, energy = abs(z) ** 2, np.square(np.abs(u))
             covariance += power * share * (u[:, :, None] * u[:, None].conj())
             own += power * (self._error + OWN * share * (energy + energy.mean(axis=0)))
@@ -129,9 +131,9 @@ class WeightedFit:
         root = np.linalg.inv(np.linalg.cholesky(covariance))
         return np.asarray(np.sqrt(2 * variance) * root)
 
-    def _look_up(self, at: Position, mask: NDArray[np.floating] | None) -> Complex:
-        """Return the masked field of a contact of amplitude 1, shape (bins, channels)."""
-        self._spline.at(*at)
+    def _look_up(self, at: Position, size: float, mask: NDArray[np.floating] | None) -> Complex:
+        """Return the masked field of a contact over its amplitude, of modulus `size`, shape (bins, channels)."""
+        self._spline.at(*at, size)
         real, imaginary = self._field[0].astype(np.float64).reshape(2, *self._shape)
         u = real + 1j * imaginary
         return np.asarray((u if mask is None else u * mask).T)

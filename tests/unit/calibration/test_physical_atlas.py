@@ -9,16 +9,17 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
-from tests.unit.calibration.plates import PLATE
+from tests.unit.calibration.plates import PLATE, exact_fit
 from touchd.calibration.physical_atlas import Grid, PhysicalField, Reference, grid_of, make_physical_atlas
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.start_scan import HALF_CONFIDENCE, start_scan
 from touchd.evaluation.cramer_rao import twin_values
+from touchd.frame import Plate, parse_acquisition
 from touchd.localization.atlas import Atlas, load_atlas, save_atlas
 from touchd.localization.features import windowed_dft
 from touchd.localization.model import Description, Model
 from touchd.training.field.bins import TAPER
-from touchd.training.field.place import FieldMap, place
+from touchd.training.field.place import FieldMap, place, yields_of
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
 
@@ -32,6 +33,15 @@ def field(fit: PlateFit) -> PhysicalField:
 def atlas(fit: PlateFit) -> Atlas:
     noise = 1e-3 * float(np.sqrt(np.square(fit.measured).mean()))
     return make_physical_atlas(fit, noise, data_sha256="some", command="touchd calibrate")
+
+
+@pytest.fixture(scope="module")
+def thin() -> tuple[PlateFit, Atlas]:
+    """2 mm of glass on an audio interface, exactly as it is."""
+    plate = Plate(width_mm=110, height_mm=90, thickness_mm=2)
+    acquisition = parse_acquisition("96000:384:15000-44000:0.004:0.004")
+    found = exact_fit(Instrument(plate, acquisition=acquisition))
+    return found, make_physical_atlas(found, 1e-3 * float(np.sqrt(np.square(found.measured).mean())))
 
 
 def places(low: float, high: float, count: int = 60) -> np.ndarray:
@@ -65,6 +75,33 @@ def test_atlas_between_nodes(atlas: Atlas, field: PhysicalField, low: float, hig
     share = missed(atlas, field, places(low, high))
     assert np.median(share) < most
     assert share.max() < 20 * most
+
+
+@pytest.mark.parametrize(
+    ("area_mm2", "tissue", "alone"), [(5.0, "human", 0.04), (20.0, "silicone", 0.01), (70.0, "human", 0.03)]
+)
+def test_thin_plate(thin: tuple[PlateFit, Atlas], area_mm2: float, tissue: str, alone: float) -> None:
+    """In steady state a light and a heavy touch differ from the reference by how the plate yields: the atlas knows."""
+    fit, atlas = thin
+    exact, at = PhysicalField(fit), np.random.default_rng(5).uniform(10, [100, 80], (40, 2))
+    first = np.array(atlas.description.bins) - int(
+        exact.bins_hz[0] * atlas.description.acquisition.samples / 96e3 + 0.5
+    )
+    values = exact.at(at, Reference(tissue, area_mm2, min(area_mm2, 20.0)))[..., first] * atlas.description.bin_weights
+    plain = FieldMap(atlas).at(at)
+    shares = FieldMap(atlas, yields_of(atlas)).at(at)
+
+    def left(field: np.ndarray) -> tuple[np.ndarray, float]:
+        power = np.square(np.abs(field)).sum(axis=(1, 2))
+        z = (field.conj() * values).sum(axis=(1, 2)) / power
+        missed = np.square(np.abs(values - z[:, None, None] * field)).sum(axis=(1, 2))
+        return np.abs(z), float((missed / np.square(np.abs(values)).sum(axis=(1, 2))).mean())
+
+    size, as_reference = left(plain)
+    for _ in range(4):
+        size, loaded = left(plain / (1 + (size[:, None, None] - 1) * shares))
+    assert as_reference > alone
+    assert loaded < 0.01
 
 
 @pytest.mark.parametrize("length_mm", [100.0, 99.99, 250.3, 7.6])

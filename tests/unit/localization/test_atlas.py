@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.fields import Field, make_atlas
+from tests.fields import Field, make_atlas, yielding
 from touchd.errors import ModelInvalid, OutputError
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas, save_atlas
 
@@ -39,6 +39,17 @@ def test_it_comes_back_within_half_precision(atlas: Atlas, whole: Path) -> None:
     np.testing.assert_array_equal(found.baseline, atlas.baseline)
     np.testing.assert_array_equal(found.error, atlas.error)
     assert os.listdir(whole.parent) == [whole.name], "nothing else is left in the folder"
+
+
+def test_what_it_knows_of_loads_comes_back(whole: Path, tmp_path: Path) -> None:
+    """An atlas of a plate that yields under a finger says so; one that does not know stays one that does not."""
+    assert load_atlas(whole).yields is None
+    save_atlas(yielding(), tmp_path / "plate.atlas.npz")
+    found, yields = load_atlas(tmp_path / "plate.atlas.npz", np.float64).yields, yielding().yields
+    assert found is not None
+    assert yields is not None
+    assert found.dtype == np.float64
+    np.testing.assert_allclose(found, yields, rtol=2**-10, atol=1e-6)
 
 
 def test_it_lies_beside_its_network() -> None:
@@ -101,6 +112,9 @@ def spoiled(key: str, value: float) -> Callable[[Parts], None]:
         (spoiled("error", -1.0), "a negative error"),
         (lambda p: p.update(scale=np.array("text")), "not a usable atlas"),
         (lambda p: p.update(scale=np.ones(3, np.float32)), "not a usable atlas"),
+        (lambda p: p.update(yields=p["coefficients"]), "yields of shape"),
+        (lambda p: p.update(yields=p["coefficients"][..., :30].astype(int)), "yields int64"),
+        (lambda p: p.update(yields=np.full_like(p["coefficients"][..., :30], np.nan)), "numbers that are none"),
     ],
 )
 def test_a_damaged_one_says_what_is_wrong(

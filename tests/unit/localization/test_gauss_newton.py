@@ -25,7 +25,7 @@ from tests.fields import (
 )
 from touchd.localization.fit import Fit, sigmas_mm
 from touchd.localization.gauss_newton import STILL_MM, GaussNewton
-from touchd.localization.spline import PER_CELL
+from touchd.localization.spline_weights import PER_CELL
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)

@@ -33,9 +33,9 @@ class Counted(GaussNewton):
 
     look_ups = 0
 
-    def _products(self, positions_mm: Any, shapes: Any) -> Any:
+    def _products(self, positions_mm: Any, shapes: Any, sizes: Any = ()) -> Any:
         self.look_ups += len(positions_mm)
-        return super()._products(positions_mm, shapes)
+        return super()._products(positions_mm, shapes, sizes)
 
 
 class Rig:

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from tests.fields import COUNTS, PLATE, Field, in_double, make_atlas
 from tests.fields import look_up as defined
-from touchd.localization.spline import CELLS, PER_CELL, Spline
+from touchd.localization.spline import CELLS, Spline
+from touchd.localization.spline_weights import PER_CELL
 
 ATLAS = make_atlas(Field())
 ANYWHERE = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-20, 150)

@@ -91,6 +91,7 @@ CASES = {
     "rolled-steel-150x110x2": Case(
         (150.0, 110.0, 2.0), "steel", STEEL._replace(orthotropy=1.06, shear_ratio=0.94), 3e-3
     ),
+    "glass-150x110x2-audio-96": Case((150.0, 110.0, 2.0), acquisition="audio-96"),
 }
 
 

@@ -81,12 +81,19 @@ def real_nodes(nodes: Complex) -> NDArray[np.float32]:
     return np.ascontiguousarray(parts.reshape(*nodes.shape[:2], -1), np.float32)
 
 
-class FieldMap:
-    """Evaluates the field of an atlas and its gradient at many positions."""
+def yields_of(atlas: Atlas) -> Complex:
+    """Return the coefficients of an atlas' yields as complex numbers, shape (rows, columns, 1, bins)."""
+    assert atlas.yields is not None
+    real, imaginary = np.split(atlas.yields, 2, axis=2)
+    return np.asarray((real + 1j * imaginary)[:, :, None], np.complex128)
 
-    def __init__(self, atlas: Atlas) -> None:
+
+class FieldMap:
+    """Evaluates the field of an atlas and its gradient at many positions; or of other nodes on its grid."""
+
+    def __init__(self, atlas: Atlas, nodes: Complex | None = None) -> None:
         d = atlas.description
-        nodes = complex_nodes(atlas)
+        nodes = complex_nodes(atlas) if nodes is None else nodes
         rows, columns = nodes.shape[:2]
         # A uniform cubic B-spline is centred on its node, two steps after its first knot.
         x_mm, y_mm = (
