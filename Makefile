@@ -57,7 +57,7 @@ vm-packages:
 
 # The package in a virtual machine with the kernel's own USB; the machine is made once and kept in ~/.cache/touchd-vm.
 vm-test: setup test-packages vm-packages
-	$(BIN)/python -m pytest -o faulthandler_timeout=1900 tests/system/vm/scenario.py $(ARGS)
+	$(BIN)/python -m pytest -o faulthandler_timeout=2500 tests/system/vm/scenario.py $(ARGS)
 
 # The touch screen under Weston and Xorg, as a page in Chromium hears it, and an audio interface on a loopback card: a
 # quarter of an hour on an idle machine, and ten minutes more for a new virtual one.

@@ -112,7 +112,7 @@ class PhysicalField:
         return np.asarray(real + 1j * imaginary)
 
     def _contact(self, position_mm: Floats, touch: Reference) -> tuple[Floats | Complex, Complex]:
-        """Return what the plate's modes are at contacts, and how they weigh on it, shape (F, 1)."""
+        """Return the plate's modes under n contacts, and by what they weigh on it at each frequency, shape (F, 1)."""
         position_mm = np.clip(position_mm, 0.0, self._size_mm)  # rounded sizes may lie a nanometre beyond
         edge_mm = np.minimum(position_mm, self._size_mm - position_mm).min(axis=1)
         # Of a disc as wide as the plate admits rounding must not reach over the edge.
@@ -196,11 +196,11 @@ def make_physical_atlas(
     snr = np.square(np.abs(values)).mean(axis=(0, 1)) / max(variance, 1e-12)
     kept = informative(snr, wavenumber_rad_m, a)
     weight = weights(snr, a)[kept]
-    rows, shares, steady = [], [], a.chirp.period_s is not None
+    rows, shares = [], []
     for done, y_mm in enumerate(y.samples_mm):
         places = np.stack([x.samples_mm, np.full_like(x.samples_mm, y_mm)], axis=1)
         rows.append(field.at(places)[..., kept] * weight)
-        if steady:
+        if field.steady:
             shares.append(field.yields(places)[:, None, kept])
         progress("field", (done + 1) / len(y.samples_mm))
     description = AtlasDescription(
@@ -215,7 +215,7 @@ def make_physical_atlas(
         np.zeros((a.channels, len(kept)), np.float32),
     )  # fmt: skip
     values = values[..., kept] * weight
-    if steady:
+    if field.steady:
         yields = coefficients_of(np.concatenate(shares), x, y)
         values = as_reference(plain, values, position_mm, field.yields(position_mm)[:, kept])
         plain = replace(plain, yields=yields)

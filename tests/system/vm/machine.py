@@ -15,7 +15,7 @@ from tests.processes import ROOT
 
 HERE = Path(__file__).parent
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-BOOT_S = 1800
+BOOT_S = 2400
 Found = dict[str, str]
 
 
