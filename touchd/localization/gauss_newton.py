@@ -135,7 +135,7 @@ class GaussNewton:
         for step in range(steps + 1):
             at, products = self._products(at, shapes, sizes)
             found = joint.step(products)
-            sizes = sizes_of(found.amplitudes, turns)
+            sizes = sizes and sizes_of(found.amplitudes, turns)
             if step == steps:
                 break
             longest_mm, moves = 0.0, iter(found.move)

@@ -105,7 +105,7 @@ class Spline(Raster):
     def at(self, x_mm: float, y_mm: float, size: float = 1.0) -> Position:
         """Evaluate the field at the raster point nearest to a position inside, and return that point.
 
-        It is over its amplitude, of modulus `size`.
+        `size` is the modulus of the touch's amplitude, over which the field is.
         """
         position, around = self._weigh(x_mm, y_mm)
         self._by_order.dot(around, self._into)
@@ -155,7 +155,7 @@ class ContactField(Raster):
         return position
 
     def of_shape(self, x_mm: float, y_mm: float, shape: Shape, size: float = 1.0) -> Position:
-        """Evaluate the field of a contact of amplitude 1, as `Spline.at` does that of a point."""
+        """Evaluate the field of a contact with a shape, as `Spline.at` does that of a point."""
         mixture = self._mixtures.get(shape)
         if mixture is None:
             mixture = self._mix(shape)
