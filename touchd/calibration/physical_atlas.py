@@ -4,9 +4,8 @@ The field of a touch is what a small contact at any place adds to each bin. It t
 it, weakens it by its own impedance, and sends it to each receiver. All three receptances are sums over the fitted
 plate's modes, so near fields of edges and discs are in them.
 
-The splines are fitted by least squares to the exact field on the plate: at each node, on the edges, and at half steps
-in the outermost cells, where the nodes beyond the edge have no sample of their own. The field's error and the scales of
-the standard error come from touches drawn on the fitted plate, of other contact areas, in noise.
+The field's error and the scales of the standard error come from touches drawn on the fitted plate, of other contact
+areas, in noise.
 """
 
 from __future__ import annotations
@@ -19,15 +18,16 @@ import numpy as np
 from touchd.calibration.emission import emission
 from touchd.calibration.plate_fit import PlateFit, Progress
 from touchd.calibration.reduced_plate import Complex, Floats
+from touchd.calibration.spline_grid import coefficients_of, grid_of
 from touchd.calibration.untouched_model import band
 from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
 from touchd.frame import Acquisition, Plate
-from touchd.localization.atlas import Array, Atlas, AtlasDescription
+from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import band_bins, windowed_dft
 from touchd.localization.position_error import UNUSUAL
 from touchd.training.field.bins import TAPER, informative, weights
 from touchd.training.field.error_scale import calibrate, field_error, noisy_levels
-from touchd.training.field.place import FieldMap, place, real_nodes
+from touchd.training.field.place import FieldMap, place
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.record import Record
@@ -43,7 +43,6 @@ AREAS = (0.6, 1.4)
 STEADY_AREAS = (0.4, 2.0)
 """The same in steady state, where the atlas knows what weighs on the plate: what it still misses grows with that."""
 DRAWN = 300
-_DENSE_CELLS = 2
 _WEIGHINGS = 2
 _SEED = 0xF1E1D
 
@@ -131,41 +130,6 @@ class PhysicalField:
             spectrum = heard[:, None] * taken * response.receptance(self._discs[:, receiver, None], shape)
             bins.append(np.concatenate([spectrum.real, spectrum.imag]).T @ self._to_bins)
         return np.stack(bins, axis=1)
-
-
-class Grid(NamedTuple):
-    """One axis of the splines."""
-
-    nodes_mm: Floats
-    samples_mm: Floats
-    """Where the field is computed, all on the plate."""
-    solve: Floats
-    """Maps samples to coefficients, shape (nodes, samples)."""
-
-
-def grid_of(length_mm: float, step_mm: float) -> Grid:
-    """Return the nodes and samples along a side, from one node beyond the plate to two beyond."""
-    cells = int(np.ceil(length_mm / step_mm))
-    first_mm = (length_mm - cells * step_mm) / 2 - step_mm
-    nodes: Floats = first_mm + step_mm * np.arange(cells + 4, dtype=np.float64)
-    outer = (np.arange(_DENSE_CELLS) + 0.5) * step_mm
-    samples = np.unique(np.clip(np.concatenate([nodes, nodes[1] + outer, nodes[cells + 1] - outer]), 0.0, length_mm))
-    solve = np.linalg.pinv(spline_values(samples, nodes, step_mm), rcond=1e-6)
-    return Grid(*(np.asarray(array, np.float64) for array in (nodes, samples, solve)))
-
-
-def spline_values(at_mm: Floats, nodes_mm: Floats, step_mm: float) -> Floats:
-    """Return each node's cubic B-spline at places (...), shape (..., nodes)."""
-    apart = np.abs(at_mm[..., None] - nodes_mm) / step_mm
-    near = 2 / 3 - apart**2 + apart**3 / 2
-    return np.asarray(np.where(apart < 1, near, np.maximum(2 - apart, 0.0) ** 3 / 6))
-
-
-def coefficients_of(values: Complex, x: Grid, y: Grid) -> Array:
-    """Return an atlas' coefficients from the field at all samples of its grid, row by row: (samples, R, bins)."""
-    rows = values.reshape(len(y.samples_mm), len(x.samples_mm), -1)
-    nodes = np.tensordot(y.solve, np.tensordot(x.solve, rows, (1, 1)), (1, 1))  # (rows, columns, R * bins)
-    return real_nodes(nodes.reshape(*nodes.shape[:2], *values.shape[1:]))
 
 
 def make_physical_atlas(

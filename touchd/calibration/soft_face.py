@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from touchd.calibration.parameters import wavelength_mm
-from touchd.calibration.physical_atlas import Grid, grid_of, spline_values
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.reduced_plate import Floats
+from touchd.calibration.spline_grid import Grid, grid_of, spline_values
 from touchd.localization.atlas import Atlas
 
 SHORT_MM = 17.0

@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.physical_atlas import coefficients_of, grid_of, lack_of_physics
+from touchd.calibration.physical_atlas import lack_of_physics
 from touchd.calibration.plate_fit import Progress
 from touchd.calibration.reduced_plate import Complex, Floats
+from touchd.calibration.spline_grid import coefficients_of, grid_of
 from touchd.calibration.tap_fit import FittedTaps, fit_taps
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import band_bins

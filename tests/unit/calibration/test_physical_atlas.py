@@ -10,8 +10,9 @@ import pytest
 from onnx import numpy_helper
 
 from tests.unit.calibration.plates import PLATE, exact_fit
-from touchd.calibration.physical_atlas import Grid, PhysicalField, Reference, grid_of, make_physical_atlas
+from touchd.calibration.physical_atlas import PhysicalField, Reference, make_physical_atlas
 from touchd.calibration.plate_fit import PlateFit
+from touchd.calibration.spline_grid import Grid, grid_of
 from touchd.calibration.start_scan import HALF_CONFIDENCE, start_scan
 from touchd.evaluation.cramer_rao import twin_values
 from touchd.frame import Plate, parse_acquisition
