@@ -12,6 +12,7 @@ from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import windowed_dft
 from touchd.localization.fit import Bins
+from touchd.localization.plate_modes import PlateModes
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=120, height_mm=90)
@@ -136,11 +137,46 @@ def yielding() -> Atlas:
     return replace(atlas, yields=np.ascontiguousarray(parts.transpose(1, 2, 0), np.float32))
 
 
+LOAD = 0.4
+"""Of the reference touch, over what makes its share of the wave 1 / 2 at a resonance."""
+
+
+@cache
+def scattering(*, lossy: bool = False) -> Atlas:
+    """An atlas on a plate that yields, and whose 24 modes tell how contacts scatter; complex ones if `lossy`."""
+    rng, atlas, lines, n = np.random.default_rng(11), yielding(), 3 * len(BINS), 24
+    step_mm, x0_mm, y0_mm = 5.0, -2.5, -2.5
+    x, y = (coordinate.ravel()[:, None] for coordinate in np.mgrid[0:28, 0:22])
+    kx, ky = rng.uniform(0.1, 0.9, (2, n))
+    shapes = np.cos(kx * x + rng.uniform(0, 6, n)) * np.cos(ky * y + rng.uniform(0, 6, n))
+    shapes = np.ascontiguousarray((shapes * np.exp(0.2j * (lossy and kx * x))).reshape(28, 22, n).swapaxes(0, 1))
+    poles, at = np.linspace(1, 3, n)[:, None] ** 2, np.linspace(1, 3, lines)
+    receptance = 1 / (poles * (1 + 0.05j) - at**2)
+    mix = rng.normal(size=(lines, len(BINS))) + 1j * rng.normal(size=(lines, len(BINS)))
+    discs = rng.normal(size=(n, 1 + RIG.channels)) * np.exp(0.1j * rng.normal(size=(n, 1 + RIG.channels)))
+    modes = PlateModes(
+        shapes if lossy else shapes.real.copy(), (step_mm, x0_mm, y0_mm), discs if lossy else discs.real.copy(),
+        receptance, LOAD / np.abs(receptance).max() * at * 1j, np.tile(0.5 * COUNTS + 0j, (RIG.channels, lines)),
+        np.block([[mix.real, mix.imag], [-mix.imag, mix.real]]),
+    )  # fmt: skip
+    return replace(atlas, modes=_cast(modes, np.float32))
+
+
+def _cast(modes: PlateModes, dtype: type) -> PlateModes:
+    of_complex = np.result_type(dtype, np.complex64)
+
+    def cast(part: np.ndarray) -> np.ndarray:
+        return part.astype(of_complex if np.iscomplexobj(part) else dtype)
+
+    shapes, grid_mm, *others = modes
+    return PlateModes(cast(shapes), grid_mm, *map(cast, others))
+
+
 def in_double(atlas: Atlas) -> Atlas:
     """The same atlas in float64, as is all that is computed with it."""
     return replace(
         atlas, coefficients=atlas.coefficients.astype(np.float64), baseline=atlas.baseline.astype(np.float64),
-        error=atlas.error.astype(np.float64),
+        error=atlas.error.astype(np.float64), modes=_cast(atlas.modes, np.float64) if atlas.modes else None,
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.calibration.emission import emission
 from touchd.calibration.plate_fit import PlateFit, Progress
@@ -24,6 +25,7 @@ from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
 from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import band_bins, windowed_dft
+from touchd.localization.plate_modes import PlateModes
 from touchd.localization.position_error import UNUSUAL
 from touchd.training.field.bins import TAPER, informative, weights
 from touchd.training.field.error_scale import calibrate, field_error, noisy_levels
@@ -42,6 +44,10 @@ AREAS = (0.6, 1.4)
 """Contact areas of the touches that tell the field's error, over the reference's."""
 STEADY_AREAS = (0.4, 2.0)
 """The same in steady state, where the atlas knows what weighs on the plate: what it still misses grows with that."""
+MODES_ABOVE = 1.4
+"""Modes up to this many times the highest frequency tell how contacts scatter each other's waves."""
+_LEAST_LINE = 1e-6
+"""Lines with a smaller share of the largest line's energy in the bins are in none."""
 DRAWN = 300
 _WEIGHINGS = 2
 _SEED = 0xF1E1D
@@ -109,6 +115,42 @@ class PhysicalField:
         lines = [np.interp(self.bins_hz, self._hz, part) for each in share.T for part in (each.real, each.imag)]
         real, imaginary = np.array(lines).reshape(len(position_mm), 2, -1).swapaxes(0, 1)
         return np.asarray(real + 1j * imaginary)
+
+    def modes(
+        self,
+        size_mm: tuple[float, float],
+        step_mm: float,
+        kept: NDArray[np.bool_] | NDArray[np.integer],
+        weight: Floats,
+    ) -> PlateModes:
+        """Return what tells how contacts scatter each other's waves into the bins `kept`, which have weights.
+
+        `step_mm` is the field's: a mode is half as fine as the field, a product of two waves.
+        """
+        to_bins = self._to_bins[:, kept] * weight
+        size = np.square(np.abs(to_bins)).sum(axis=1).reshape(2, -1).sum(axis=0)
+        lines = np.flatnonzero(size > _LEAST_LINE * size.max())
+        response = self._response
+        nu, omega = response.nu_rad_s[lines], response.modes.omega_rad_s
+        near = omega < MODES_ABOVE * nu.real.max()
+        loss = np.broadcast_to(response.loss, response.nu_rad_s.shape)[lines]
+        x, y = (grid_of(side_mm, 2 * step_mm) for side_mm in size_mm)
+        samples = []
+        for y_mm in y.samples_mm:
+            places = np.stack([x.samples_mm, np.full_like(x.samples_mm, y_mm)], axis=1)
+            shape, load = self._contact(places, self.reference)
+            samples.append(shape[near].T)
+        rows = np.concatenate(samples).reshape(len(y.samples_mm), len(x.samples_mm), -1)
+        both = np.concatenate([lines, lines + len(response.nu_rad_s)])
+        return PlateModes(
+            np.tensordot(y.solve, np.tensordot(x.solve, rows, (1, 1)), (1, 1)),
+            (2 * step_mm, float(x.nodes_mm[0]), float(y.nodes_mm[0])),
+            self._discs[near],
+            1 / (omega[near, None] ** 2 * (1 + 1j * loss) - nu**2),
+            load[lines, 0],
+            self._heard[:, lines],
+            np.concatenate([to_bins.real, to_bins.imag], axis=1)[both],
+        )
 
     def _contact(self, position_mm: Floats, touch: Reference) -> tuple[Floats | Complex, Complex]:
         """Return the plate's modes under n contacts, and by what they weigh on it at each frequency, shape (F, 1)."""
@@ -182,7 +224,7 @@ def make_physical_atlas(
     if field.steady:
         yields = coefficients_of(np.concatenate(shares), x, y)
         values = as_reference(plain, values, position_mm, field.yields(position_mm)[:, kept])
-        plain = replace(plain, yields=yields)
+        plain = replace(plain, yields=yields, modes=field.modes(plate.size_mm, step_mm, kept, weight))
     return calibrated(plain, fit.lacking, position_mm, values, noise_counts)
 
 

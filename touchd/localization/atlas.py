@@ -18,7 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from touchd.errors import ModelInvalid, OutputError, RecordingError
 from touchd.files import replacing
 from touchd.frame import HANN, Acquisition, Plate
+from touchd.localization import plate_modes
 from touchd.localization.features import windowed_dft
+from touchd.localization.plate_modes import PlateModes
 from touchd.recording import npz
 
 FORMAT = "touchd-atlas"
@@ -102,6 +104,8 @@ class Atlas:
     """Coefficients of the share of the wave that a touch of strength 1 takes from itself, as the plate yields under it,
     shape (rows, columns, 2 * bins); None where a touch is so light, or the frame so short, that the field just grows
     with it (`touchd.localization.loading`)."""
+    modes: PlateModes | None = None
+    """What tells how several touches scatter each other's waves; None where that is not known, or next to nothing."""
 
     @property
     def size(self) -> int:
@@ -126,6 +130,7 @@ def save_atlas(atlas: Atlas, path: Path) -> None:
     """
     scale = np.float32(np.abs(atlas.coefficients).max() or 1.0)
     more: dict[str, Any] = {} if atlas.yields is None else {_YIELDS: atlas.yields.astype(np.float16)}
+    more |= plate_modes.to_arrays(atlas.modes) if atlas.modes else {}
     with replacing(path) as file:
         np.savez_compressed(
             file, format=np.array(FORMAT), version=np.array(1),
@@ -151,7 +156,7 @@ def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
         If the file is no atlas, or its parts do not fit each other.
     """
     try:
-        found = npz.load(path, (*_KEYS, _YIELDS), _MAX_LOADED_BYTES)
+        found = npz.load(path, (*_KEYS, _YIELDS, *plate_modes.KEYS), _MAX_LOADED_BYTES)
     except RecordingError as error:
         raise _invalid(path, str(error)) from error
     missing = [key for key in _KEYS if key not in found]
@@ -165,6 +170,10 @@ def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
     numbers = ("coefficients", "scale", "baseline", "error", *({_YIELDS} & found.keys()))
     if found["scale"].shape != () or any(found[key].dtype.kind != "f" for key in numbers):
         raise _invalid(path, f"{', '.join(f'{key} {found[key].dtype}{found[key].shape}' for key in numbers)}")
+    try:
+        modes = plate_modes.from_arrays(found, dtype)
+    except ValueError as error:
+        raise _invalid(path, str(error)) from error
     with np.errstate(all="ignore"):  # what overflows is infinite, and refused
         coefficients = found["coefficients"].astype(dtype) * found["scale"].astype(dtype)
         atlas = Atlas(
@@ -173,6 +182,7 @@ def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
             found["baseline"].astype(dtype),
             found["error"].astype(dtype),
             np.ascontiguousarray(found[_YIELDS].astype(dtype)) if _YIELDS in found else None,
+            modes,
         )
     _check(atlas, path)
     return atlas
@@ -191,6 +201,10 @@ def _check(atlas: Atlas, path: Path) -> None:
     rows, columns, _ = atlas.coefficients.shape
     if atlas.yields is not None and atlas.yields.shape != (rows, columns, 2 * bins):
         raise _invalid(path, f"yields of shape {atlas.yields.shape}, not {(rows, columns, 2 * bins)}")
+    if atlas.modes and atlas.yields is None:
+        raise _invalid(path, "modes, but no yields")
+    if atlas.modes and (len(atlas.modes.heard), atlas.modes.to_bins.shape[1]) != (channels, 2 * bins):
+        raise _invalid(path, f"modes of {len(atlas.modes.heard)} channels and {atlas.modes.to_bins.shape[1]} values")
     reach_mm = (
         d.origin_mm[0] + (columns - _MARGIN_NODES) * d.step_mm, d.origin_mm[1] + (rows - _MARGIN_NODES) * d.step_mm
     )  # fmt: skip

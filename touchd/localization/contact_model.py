@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.fit import SHAPE_COST, Bins, Fit, Steps
+from touchd.localization.scattering import Scattering
 from touchd.localization.spline import TERMS, ContactField, Position, Shape
 
 LONGEST_STEP_MM = 2.0
@@ -43,6 +44,8 @@ class ContactModel:
 
     def __init__(self, atlas: Atlas, field: ContactField) -> None:
         self._field = field
+        self.scattering = Scattering(atlas) if atlas.modes else None
+        """Of an atlas that knows how contacts scatter each other's waves."""
         half, dtype = atlas.size // 2, atlas.coefficients.dtype
         self._shape = atlas.description.acquisition.channels, 2, len(atlas.description.bins)
         self._block = np.zeros((2, 10, half), dtype)
@@ -75,7 +78,9 @@ class ContactModel:
         count = len(positions_mm)
         own = _AMPLITUDES * count
         at = [self._field.inside(*position) for position in positions_mm]
-        sizes, sized = [1.0] * count, False
+        sizes, scattered = [1.0] * count, None
+        # The first look, as at reference touches, only tells how heavy they are, and the next one what they scatter.
+        looks = 2 if self.scattering and count > 1 else 1 if self._field.loading else 0
         while True:
             self._load(bins, count)  # others may have been fitted since the last piece
             at, gram = self._gram(at, sizes, whiten)
@@ -84,9 +89,12 @@ class ContactModel:
             solved = np.linalg.solve(normal + ridge, gram[:own, own:])
             amplitudes = solved[:, -1]
             if self._field.loading:
-                sizes = _sizes(normal, amplitudes)
-                if not sized:  # the first look, as at the reference touch, only tells how heavy they are
-                    sized = True
+                as_points = _as_points(normal, amplitudes)
+                sizes = list(map(abs, as_points))
+                if looks:
+                    if looks == 1 and self.scattering and count > 1:
+                        bins, scattered = self.scattering.take_out(bins, at, as_points)
+                    looks -= 1
                     continue
             unexplained = float((gram[-1, -1] - amplitudes.conj() @ (right + ridge @ amplitudes)).real)
             slopes = _slopes(amplitudes.reshape(count, _AMPLITUDES))
@@ -97,7 +105,7 @@ class ContactModel:
             damped.ravel()[:: 2 * count + 1] *= 1 + _DAMPING
             damped.ravel()[:: 2 * count + 1] += 1e-30
             move = np.linalg.solve(damped, gradient)
-            longest_mm, at = self._move(at, move.tolist())
+            longest_mm, at = self._field.moved(at, move.tolist(), LONGEST_STEP_MM)
             steps -= 1
             if steps <= 0 or longest_mm < STILL_MM:
                 break
@@ -122,6 +130,7 @@ class ContactModel:
             max(unexplained, 0.0),
             [[slope, *second] for _, *second, slope in per_contact],
             turns,
+            scattered=scattered,
         )
 
     def _load(self, bins: Bins, count: int) -> None:
@@ -163,23 +172,13 @@ class ContactModel:
         np.subtract(products[:n, n:], products[n:, :n], gram.imag)
         return at, gram
 
-    def _move(self, positions_mm: Sequence[Position], move: list[float]) -> tuple[float, list[Position]]:
-        """Return the longest step, mm, and the positions after it, none farther than `LONGEST_STEP_MM`."""
-        longest_mm, moved = 0.0, []
-        for (x, y), step_x, step_y in zip(positions_mm, move[::2], move[1::2], strict=True):
-            length = math.hypot(step_x, step_y)
-            shorter = LONGEST_STEP_MM / length if length > LONGEST_STEP_MM else 1.0
-            moved.append(self._field.inside(x + shorter * step_x, y + shorter * step_y))
-            longest_mm = max(longest_mm, length)
-        return longest_mm, moved
 
-
-def _sizes(normal: Complex, amplitudes: NDArray[np.complexfloating]) -> list[float]:
-    """Return the moduli of contacts' amplitudes as points', from the products of their rows."""
+def _as_points(normal: Complex, amplitudes: NDArray[np.complexfloating]) -> list[complex]:
+    """Return contacts' amplitudes as points', from the products of their rows."""
     found = []
     for k in range(0, len(amplitudes), _AMPLITUDES):
         part = slice(k, k + _AMPLITUDES)
-        found.append(abs(complex(normal[k, part] @ amplitudes[part])) / max(float(normal[k, k].real), 1e-30))
+        found.append(complex(normal[k, part] @ amplitudes[part]) / max(float(normal[k, k].real), 1e-30))
     return found
 
 

@@ -42,6 +42,11 @@ class Bins(Struct, gc=False, frozen=True):
         """Return bins that stay valid after the frame."""
         return Bins(self.vector.copy(), self.mask, self.energy)
 
+    def without(self, scattered: Array) -> Bins:
+        """Return the bins less what a fit's contacts add to each other's fields."""
+        vector = self.vector - scattered
+        return Bins(vector, self.mask, float(vector @ vector))
+
 
 class Fit(Struct, gc=False, frozen=True):
     """Fingers that explain a frame."""
@@ -64,6 +69,8 @@ class Fit(Struct, gc=False, frozen=True):
     """What as many points leave, of a fit with shapes."""
     shares: Sequence[float] = ()
     """Of the information on each finger's position, what is left when its shape must be found too; none if all is."""
+    scattered: Array | None = None
+    """What its fingers add to each other's fields, as the bins have it: it was taken out of them first."""
 
 
 def finish(steps: Steps[T]) -> T:
@@ -89,10 +96,14 @@ def shapes_of(fit: Fit) -> list[Shape]:
     ]
 
 
+def as_points(amplitudes: Sequence[complex], turns: Sequence[complex]) -> Sequence[complex]:
+    """Return fingers' amplitudes as points'; `turns` are those of a fit."""
+    return [z * turn for z, turn in zip(amplitudes, turns, strict=True)] if turns else amplitudes
+
+
 def sizes_of(amplitudes: Sequence[complex], turns: Sequence[complex]) -> list[float]:
     """Return how heavy fingers are: the moduli of their amplitudes, as points'; `turns` are those of a fit."""
-    sizes = list(map(abs, amplitudes))
-    return [size * abs(turn) for size, turn in zip(sizes, turns, strict=True)] if turns else sizes
+    return list(map(abs, as_points(amplitudes, turns)))
 
 
 def sigmas_mm(fisher_information: Matrix, variance: float) -> list[float]:

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from touchd.localization import joint
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
-from touchd.localization.fit import SHAPE_COST, Bins, Fit, Matrix, Steps, finish, no_fit, shapes_of, sizes_of
+from touchd.localization.fit import SHAPE_COST, Bins, Fit, Matrix, Steps, as_points, finish, no_fit, shapes_of, sizes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.spline import ContactField, Position, Shape, Spline
 
@@ -130,22 +130,20 @@ class GaussNewton:
         inside = self._spline.inside
         at, gained = [inside(*position) for position in positions_mm], 0.0
         sizes: list[float] = []
+        scattered: Array | None = None
         if self._spline.loading:
             sizes = sizes_of(joint.step(self._products(at, shapes)[1]).amplitudes, turns)
+        if self._contacts.scattering:
+            z = as_points(joint.step(self._products(at, shapes, sizes)[1]).amplitudes, turns)
+            bins, scattered = self._contacts.scattering.take_out(bins, at, z)
+            self._load(bins)
         for step in range(steps + 1):
             at, products = self._products(at, shapes, sizes)
             found = joint.step(products)
             sizes = sizes and sizes_of(found.amplitudes, turns)
             if step == steps:
                 break
-            longest_mm, moves = 0.0, iter(found.move)
-            for k, (x, y) in enumerate(at):
-                step_x, step_y = next(moves), next(moves)
-                length = (step_x * step_x + step_y * step_y) ** 0.5
-                shorter = LONGEST_STEP_MM / length if length > LONGEST_STEP_MM else 1.0
-                at[k] = inside(x + shorter * step_x, y + shorter * step_y)
-                if length > longest_mm:
-                    longest_mm = length
+            longest_mm, at = self._spline.moved(at, found.move, LONGEST_STEP_MM)
             if longest_mm < still_mm:
                 # What the last step changes, to second order and to first, as with one finger.
                 gained = sum(map(mul, found.gradient, found.move))
@@ -155,7 +153,7 @@ class GaussNewton:
             z = list(map(add, z, found.changes))
         of_found = [[part * one for one in shape] for part, shape in zip(z, shapes, strict=False)]
         left = max(bins.energy - found.explained - gained, 0.0)
-        return Fit(at, z, found.energies, found.information, left, of_found, turns, 0.0, shares)
+        return Fit(at, z, found.energies, found.information, left, of_found, turns, 0.0, shares, scattered)
 
     def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float) -> Fit:
         """Return a fit of contacts with a size and a shape, if they are worth it: all of `shape_pieces` at once."""
@@ -256,7 +254,7 @@ class GaussNewton:
 
         `shapes` are the fit's, if they are known: their tables are kept. One finger of the fit may be left out.
         """
-        self._load(bins)
+        self._load(bins if fit.scattered is None else bins.without(fit.scattered))
         if bins is not self._parted[0] or fit is not self._parted[1]:
             self._parted = bins, fit
             self._part_by_finger(fit, shapes or shapes_of(fit) or [None] * len(fit.positions_mm))

@@ -123,7 +123,10 @@ class Landing:
         Shapes that no finger has make up for wrong positions where the field is badly known, and several for a palm.
         """
         if len(fit.shapes) > 1:
-            long = excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation
+            most = (
+                CRITERIA.good if fit.scattered is None else CRITERIA.fair
+            )  # resonances leave more, and shapes take it
+            long = excess > most and elongation(fit) > CRITERIA.most_elongation
             if long or oval_mm2(fit) > CRITERIA.most_oval_mm2:
                 return True
         return len(fit.positions_mm) == 1 and self._is_ambiguous(bins, fit, signal)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,6 +66,19 @@ class Raster:
         x = x_mm if low_x < x_mm < high_x else high_x if x_mm >= high_x else low_x
         y = y_mm if low_y < y_mm < high_y else high_y if y_mm >= high_y else low_y
         return x, y
+
+    def moved(
+        self, positions_mm: Sequence[Position], moves_mm: Sequence[float], most_mm: float
+    ) -> tuple[float, list[Position]]:
+        """Return the longest of moves (x and y in turn), mm, and where they lead, none farther than `most_mm`."""
+        longest_mm, moved, each = 0.0, [], iter(moves_mm)
+        for x, y in positions_mm:
+            step_x, step_y = next(each), next(each)
+            length = (step_x * step_x + step_y * step_y) ** 0.5
+            shorter = most_mm / length if length > most_mm else 1.0
+            moved.append(self.inside(x + shorter * step_x, y + shorter * step_y))
+            longest_mm = max(longest_mm, length)
+        return longest_mm, moved
 
     def _weigh(self, x_mm: float, y_mm: float) -> tuple[Position, Array]:
         """Set the nodes' weights in each derivative for the raster point nearest to a position inside.

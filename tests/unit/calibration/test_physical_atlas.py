@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -9,19 +11,21 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
-from tests.unit.calibration.plates import PLATE, exact_fit
+from tests.unit.calibration.plates import PEAK_COUNTS, PLATE, exact_fit
 from touchd.calibration.physical_atlas import PhysicalField, Reference, make_physical_atlas
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.spline_grid import Grid, grid_of
 from touchd.calibration.start_scan import HALF_CONFIDENCE, start_scan
 from touchd.evaluation.cramer_rao import twin_values
+from touchd.evaluation.dataset import complex_bins
 from touchd.frame import Plate, parse_acquisition
 from touchd.localization.atlas import Atlas, load_atlas, save_atlas
-from touchd.localization.features import windowed_dft
+from touchd.localization.features import band_bins, windowed_dft
 from touchd.localization.model import Description, Model
+from touchd.localization.scattering import Scattering
 from touchd.training.field.bins import TAPER
 from touchd.training.field.place import FieldMap, place, yields_of
-from touchd.twin.instrument import Instrument
+from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
 
 
@@ -36,12 +40,14 @@ def atlas(fit: PlateFit) -> Atlas:
     return make_physical_atlas(fit, noise, data_sha256="some", command="touchd calibrate")
 
 
+THIN = Plate(width_mm=110, height_mm=90, thickness_mm=2)
+AUDIO = parse_acquisition("96000:384:15000-44000:0.004:0.004")
+
+
 @pytest.fixture(scope="module")
 def thin() -> tuple[PlateFit, Atlas]:
     """2 mm of glass on an audio interface, exactly as it is."""
-    plate = Plate(width_mm=110, height_mm=90, thickness_mm=2)
-    acquisition = parse_acquisition("96000:384:15000-44000:0.004:0.004")
-    found = exact_fit(Instrument(plate, acquisition=acquisition))
+    found = exact_fit(Instrument(THIN, acquisition=AUDIO))
     return found, make_physical_atlas(found, 1e-3 * float(np.sqrt(np.square(found.measured).mean())))
 
 
@@ -103,6 +109,35 @@ def test_thin_plate(thin: tuple[PlateFit, Atlas], area_mm2: float, tissue: str, 
         size, loaded = left(plain / (1 + (size[:, None, None] - 1) * shares))
     assert as_reference > alone
     assert loaded < 0.01
+
+
+@pytest.mark.parametrize("fingers", [2, 3])
+def test_fingers_on_a_thin_plate(thin: tuple[PlateFit, Atlas], fingers: int) -> None:
+    """What fingers send to each other has a tenth of their energy or more: the atlas tells nearly all of it."""
+    _, atlas = thin
+    d, instrument = atlas.description, Instrument(THIN, acquisition=AUDIO)
+    kept = np.searchsorted(band_bins(AUDIO), d.bins)
+
+    def bins_of(touches: list[list[Contact]]) -> np.ndarray:
+        change = PEAK_COUNTS * instrument.change(touches, [REFERENCE_C] * len(touches))
+        bins = complex_bins(change @ windowed_dft(AUDIO, taper=TAPER), AUDIO.channels)
+        return np.asarray(bins[..., kept] * d.bin_weights)
+
+    drawn, shares, missed = np.random.default_rng(7).uniform(12, [98, 78], (40, fingers, 2)), [], []
+    for places in drawn:
+        if min(math.dist(*pair) for pair in combinations(places.tolist(), 2)) < 16:
+            continue
+        touches = [Contact(x, y, 60.0, "human") for x, y in places.tolist()]
+        alone, together = bins_of([[one] for one in touches]), bins_of([touches])[0]
+        fields = FieldMap(atlas).at(places)
+        amplitudes = [complex(np.vdot(u, own) / np.vdot(u, u)) for u, own in zip(fields, alone, strict=True)]
+        told = Scattering(atlas).of(places.tolist(), amplitudes).reshape(AUDIO.channels, 2, -1)
+        sent = together - sum(alone)
+        power = float(np.square(np.abs(sent)).sum())
+        shares.append(power / np.square(np.abs(together)).sum())
+        missed.append(np.square(np.abs(sent - told[:, 0] - 1j * told[:, 1])).sum() / power)
+    assert np.median(shares) > 0.08
+    assert np.median(missed) < 0.07
 
 
 @pytest.mark.parametrize("length_mm", [100.0, 99.99, 250.3, 7.6])

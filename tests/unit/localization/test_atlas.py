@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.fields import Field, make_atlas, yielding
+from tests.fields import Field, make_atlas, scattering, yielding
 from touchd.errors import ModelInvalid, OutputError
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas, save_atlas
 
@@ -50,6 +50,19 @@ def test_what_it_knows_of_loads_comes_back(whole: Path, tmp_path: Path) -> None:
     assert yields is not None
     assert found.dtype == np.float64
     np.testing.assert_allclose(found, yields, rtol=2**-10, atol=1e-6)
+
+
+@pytest.mark.parametrize("lossy", [False, True])
+def test_what_it_knows_of_modes_comes_back(lossy: bool, tmp_path: Path) -> None:
+    """So does what tells how fingers scatter each other's waves."""
+    atlas = scattering(lossy=lossy)
+    save_atlas(atlas, tmp_path / "plate.atlas.npz")
+    found = load_atlas(tmp_path / "plate.atlas.npz", np.float64).modes
+    assert found
+    assert atlas.modes
+    for one, other in zip(found, atlas.modes, strict=True):
+        np.testing.assert_allclose(np.asarray(one), np.asarray(other), rtol=2**-10, atol=1e-6)
+    assert {part.dtype for part in found if isinstance(part, np.ndarray)} <= {np.dtype("f8"), np.dtype("c16")}
 
 
 def test_it_lies_beside_its_network() -> None:
@@ -129,6 +142,35 @@ def test_a_damaged_one_says_what_is_wrong(
         load_atlas(path)
     assert caught.value.where == str(path)
     assert "touchd train --recipe atlas" in caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda p: p.pop("modes_discs"), "modes_discs missing"),
+        (lambda p: p.update(modes_loads=p["modes_loads"][:-1]), "modes_receptance of shape"),
+        (lambda p: p.update(modes_heard=p["modes_heard"][1:]), "modes_heard of shape"),
+        (lambda p: p.update(modes_shapes=p["modes_shapes"][:2]), "modes_shapes of shape"),
+        (lambda p: p.update(modes_shapes=p["modes_shapes"][..., [0, 0, 0]]), "modes_shapes of shape"),
+        (lambda p: p.update(modes_discs=p["modes_discs"][1:]), "modes_discs of shape"),
+        (lambda p: p.update(modes_loads=np.float32(1)), "modes_loads of shape"),
+        (lambda p: p.update(modes_grid=np.zeros(3)), "modes_grid of shape"),
+        (lambda p: p.update(modes_to_bins=p["modes_to_bins"][:, :-2]), "modes of 4 channels and 28 values"),
+        (lambda p: p.update(modes_shapes=p["modes_shapes"].astype(int)), "modes_shapes holds what is no number"),
+        (lambda p: p.update(modes_receptance=np.full_like(p["modes_receptance"], np.inf)), "modes_receptance holds"),
+        (lambda p: p.pop("yields"), "modes, but no yields"),
+    ],
+)
+def test_damaged_modes(change: Callable[[Parts], object], says: str, tmp_path: Path) -> None:
+    """Of an atlas with modes each part is checked, too."""
+    path = tmp_path / "plate.atlas.npz"
+    save_atlas(scattering(), path)
+    with np.load(path) as archive:
+        parts = dict(archive)
+    change(parts)
+    np.savez(path, **parts)
+    with pytest.raises(ModelInvalid, match=says):
+        load_atlas(path)
 
 
 def test_a_bomb_is_refused(whole: Path, tmp_path: Path) -> None:
