@@ -7,8 +7,11 @@ import pytest
 
 from tests.scenes.stages import empty_stage, play, score
 from tests.unit.calibration.plates import exact_fit, model_of
+from touchd.config.schema import Settings
 from touchd.evaluation.replay_scores import StreamScores
+from touchd.event import KeyEvent
 from touchd.frame import ACQUISITIONS
+from touchd.keypad import PHONE, load_layout
 from touchd.localization.model import Model
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
@@ -84,6 +87,22 @@ def test_knocks_lift_no_resting_finger(level_db: float, contact_s: float, instru
         stage.knocks.append(Knock(float(at_s), x_mm, y_mm, level_db, contact_s))
     found = score(stage, play(stage, instrument))
     assert (found.missed, found.ghosts, found.split, found.clean) == (0, 0, 0, True)
+
+
+def test_knocks_as_a_finger_lands_press_no_key_twice(instrument: Instrument) -> None:
+    """Three within 0.1 s hide it after its first frame: it has landed once, and its key is pressed once."""
+    stage, rng, layout = empty_stage(8.0, seed=5), np.random.default_rng(6), load_layout(PHONE, DEFAULT_PLATE)
+    for k, start_s in enumerate(np.arange(1.0, 7.4, 0.5).tolist()):
+        stage.lay("fingertip", start_s, start_s + 0.25, still(*layout.key[k % 12].centre_mm), force_n=0.5)
+        for gap_s in (-0.006, 0.04, 0.08):
+            x_mm, y_mm = rng.uniform(12, 188, 2).tolist()
+            stage.knocks.append(Knock(start_s + 0.012 + gap_s, x_mm, y_mm, 10.0, 6e-5))
+    out = play(stage, instrument, settings=Settings.model_validate({"keypad": {"layout": str(PHONE)}}))
+    downs = [one.id for message in out.touches for one in message.contacts if one.phase == "down"]
+    presses = [one for one in out.events if isinstance(one, KeyEvent) and one.phase == "press"]
+    assert len(downs) == len(set(downs))
+    assert len(presses) == len(downs)
+    assert len(downs) == 13
 
 
 def test_knocks_alone_are_no_touches(instrument: Instrument) -> None:

@@ -17,7 +17,7 @@ from touchd.localization.classify import Classifier
 from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.feet import Feet
-from touchd.localization.fit import Bins, Fit, no_fit
+from touchd.localization.fit import Bins, Fit, Fitted, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.following import Follower, Prediction
 from touchd.localization.gauss_newton import GaussNewton
@@ -32,8 +32,6 @@ from touchd.localization.stillness import StillFinger
 from touchd.localization.weighted_fit import Refinement, WeightedFit
 from touchd.outcome import Outcome
 from touchd.touch import Face, Touch
-
-Fitted = tuple[Bins, Fit]
 
 
 class AtlasLocalizer:
@@ -99,10 +97,9 @@ class AtlasLocalizer:
             if self._touches:
                 self.reset()
             else:  # water, or what a finger left that was lost as it lifted: water stays known
-                self._prediction.reset()
+                for part in (self._prediction, self._drift, self._classifier.palm):
+                    part.reset()
                 self._search.cancel()
-                self._drift.reset()
-                self._classifier.palm.reset()
         if self._plate.observe(detection):
             self._classifier.dry()
         return UNTOUCHED
@@ -133,6 +130,9 @@ class AtlasLocalizer:
             if self._rests(detection):
                 return Localization(Outcome.STILL, self._touches)
             if detection.rings and not (alive and self._follower.has_lifted(self._plate.bins(detection.residual))):
+                if not alive:  # they have ended: what comes after the knock is found afresh
+                    self._touches = self._lose()
+                    self._search.cancel()
                 return RINGS
         return self._localization(detection, begun, alive=alive, complete=complete)
 

@@ -73,6 +73,10 @@ class Fit(Struct, gc=False, frozen=True):
     """What its fingers add to each other's fields, as the bins have it: it was taken out of them first."""
 
 
+Fitted = tuple[Bins, Fit]
+"""A frame's bins, less what is no finger's, and what is fitted to them."""
+
+
 def finish(steps: Steps[T]) -> T:
     """Take all pieces of work at once."""
     while True:

@@ -82,7 +82,7 @@ class Tracker:
         self.alive = False
         """Whether any contact is down."""
         self._next_id = 1
-        self._last_ns = self._seen_ns = 0
+        self._last_ns = self._seen_ns = self._heard_ns = 0  # the last of them of frames that say nothing, too
         self._reported_ns = 0
         self._ended_ns = -_LIFTING_NS
 
@@ -103,6 +103,7 @@ class Tracker:
         """
         elapsed_ns, same = max(t_ns - self._last_ns, 1), touches is self._touches
         self._last_ns, self._touches = t_ns, touches
+        self._heard_ns = t_ns
         if touches:
             self._seen_ns = t_ns
         if same and self._settled and 0 <= t_ns - self._reported_ns <= _REFRESH_NS - elapsed_ns:
@@ -130,7 +131,11 @@ class Tracker:
 
     def hold(self, t_ns: int) -> list[Contact]:
         """Keep all contacts in a frame that says nothing of fingers; return the same as `track`."""
-        return self._report(t_ns, False, (t_ns - self._last_ns) * 1e-9)
+        elapsed_ns, self._heard_ns = max(t_ns - self._heard_ns, 1), t_ns
+        for track in self.tracks:
+            if track.contact:
+                track.contact.phase = "hold"
+        return self._report(t_ns, False, elapsed_ns * 1e-9)
 
     def release_all(self, t_ns: int) -> list[Contact]:
         """End every contact, as when the frames stop; return the same as `track`."""

@@ -15,9 +15,9 @@ from touchd.config.schema import Settings
 from touchd.detection.detection import Detection
 from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
-from touchd.localization.atlas_localizer import AtlasLocalizer, Fitted
+from touchd.localization.atlas_localizer import AtlasLocalizer
 from touchd.localization.estimator import Finger
-from touchd.localization.fit import Bins, Fit, shapes_of
+from touchd.localization.fit import Bins, Fit, Fitted, shapes_of
 from touchd.localization.model import Model, default_model_path
 from touchd.localization.weighted_fit import Place
 from touchd.pipeline import Pipeline

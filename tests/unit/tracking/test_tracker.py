@@ -340,6 +340,7 @@ def test_frames_that_say_nothing() -> None:
     """A contact is kept through them, with messages as often as ever, but for no longer than 0.15 s."""
     stroke = Stroke()
     stroke.feed(at(50, 50), frames=4)
+    before = len(stroke.reports)
     kept = 0
     while stroke.tracker.holds(stroke.t_ns + PERIOD_NS):
         stroke.t_ns += PERIOD_NS
@@ -347,7 +348,19 @@ def test_frames_that_say_nothing() -> None:
         if report := stroke.tracker.hold(stroke.t_ns):
             stroke.reports.append(report)
     assert kept == 18
-    assert stroke.phases()[-1] == "hold"
+    assert stroke.phases()[before:] == ["hold"], "one message in 0.1 s"
     stroke.feed(frames=2)
     assert stroke.phases()[-1] == "up"
     assert not stroke.tracker.holds(stroke.t_ns)
+
+
+def test_frames_that_say_nothing_of_a_finger_that_has_just_landed() -> None:
+    """It has landed once, however long nothing is known of it: a key is pressed once."""
+    stroke = Stroke()
+    stroke.feed(at(50, 50))
+    while "down" not in stroke.phases():
+        stroke.feed(at(50, 50))
+    while stroke.tracker.holds(stroke.t_ns + PERIOD_NS):
+        stroke.t_ns += PERIOD_NS
+        stroke.reports += [report] if (report := stroke.tracker.hold(stroke.t_ns)) else []
+    assert stroke.phases() == ["down", "hold"]
