@@ -9,6 +9,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from touchd.config.schema import BaselineSettings
 from touchd.detection.hum import BELOW, Hum
+from touchd.detection.jitter import delay_direction
 from touchd.frame import Acquisition, Counts
 
 Signal = NDArray[np.floating]
@@ -23,15 +24,14 @@ _LEAST_SHARE = 1 / 512
 count float32 holds no smaller part at full scale: a mean that is moved by less stands still."""
 _QUICKLY = 8
 """Movement that is known to be the plate's own is followed this many times as fast: the next touch may come soon."""
+_LOUD, _LEAST_CALM = 2.0, 0.01
+"""Noise of more than this much of the energy that it had when the mean was learned moves the mean the less, so that the
+mean is as good as it was; but a plate that warms is still followed in a minute."""
 _STEADY_RATIO = 0.7
 _PATIENCE_WINDOWS = 20
 """A plate that is never steady is learned as it is after this many windows: a poor baseline is better than none."""
 _FAR = 0.9
 """Share of the ADC's range: no finger changes the untouched signal by as much as a tenth of it."""
-DELAYED = 16.0
-"""Power along a delay, over a sample's noise, from which the gate leaves it out: 0.5 ns of jitter at 60 dB."""
-_FEWEST_DELAYED = 8
-"""Fewer frames do not tell the jitter."""
 
 
 class Baseline:
@@ -82,6 +82,8 @@ class Baseline:
         """The frames learned from, shape (n, channels, samples)."""
         self._filled = 0
         self._tried = 0
+        self._kept: Signal | None = None
+        self._calm_energy = self._noise_energy = 0.0  # of noise: when the mean was learned, and now
 
     def configure(self, settings: BaselineSettings) -> None:
         """Follow the plate with another time constant."""
@@ -89,8 +91,13 @@ class Baseline:
         self._weighed_ns = -1  # the step for which `_weight` and `_every` hold
         self._every, self._waited = 1, 0
 
-    def reset(self) -> None:
-        """Begin to learn with the next frame; until the end of learning `mean` stays as it is."""
+    def reset(self, *, keep_mean: bool = False) -> None:
+        """Begin to learn with the next frame; until the `end` of learning `mean` stays as it is.
+
+        To `keep_mean` is to learn the noise alone: of loud noise the mean over a window is a poor one, and wrong once
+        the noise has gone.
+        """
+        self._kept = self.mean.copy() if keep_mean else None
         self._filled = 0
         self._tried = 0
 
@@ -126,7 +133,7 @@ class Baseline:
             self._window[: len(frames) - half] = self._window[half:].copy()
             self._filled = len(frames) - half
             return None
-        self.reset()
+        self._filled = self._tried = 0
         return self.learn_from(frames)
 
     def learn_from(self, frames: Signal) -> NDArray[np.float64]:
@@ -168,6 +175,16 @@ class Baseline:
     def learned(self) -> Signal:
         """Return the residuals of the frames learned from, shape (up to learn_frames, channels, samples)."""
         return np.asarray(self.window - self.mean)
+
+    def end(self, noise_energy: float) -> Signal:
+        """End to learn, of noise of this energy, and return what `learned` does."""
+        residuals = self.learned()
+        if self._kept is None:
+            self._calm_energy = noise_energy
+        else:
+            self.mean[...] = self._kept
+            self._kept = None
+        return residuals
 
     def subtract(self, counts: Counts, t_ns: int) -> float:
         """Put the frame less the mean into `residual`, and return the latter's `residual_energy` (counts squared)."""
@@ -213,8 +230,8 @@ class Baseline:
         """Move the mean by a change, shape (channels, samples)."""
         _add(self.mean, change, self.mean)
 
-    def follow(self, *, quickly: bool = False) -> None:
-        """Move the mean towards the last frame, by the time since the frame before it."""
+    def follow(self, noise_energy: float, *, quickly: bool = False) -> None:
+        """Move the mean towards the last frame, by the time since the frame before it, and the slower the louder."""
         if quickly or self._elapsed_ns != self._weighed_ns:
             elapsed_ns = self._elapsed_ns * (_QUICKLY if quickly else 1)
             self._weighed_ns = elapsed_ns
@@ -227,7 +244,13 @@ class Baseline:
         if self._waited < self._every:
             return
         self._waited = 0
-        _multiply(self._whole, self._weight, self._step)
+        if noise_energy < max(self._calm_energy, self._noise_energy / _LOUD):
+            self._calm_energy = noise_energy  # what was loud has gone: the rest of it is in the mean
+        self._noise_energy = noise_energy
+        weight = self._weight
+        if noise_energy > _LOUD * self._calm_energy:
+            weight = weight * max(self._calm_energy / noise_energy, _LEAST_CALM)
+        _multiply(self._whole, weight, self._step)
         _add(self.mean, self._step, self.mean)
 
 
@@ -251,33 +274,3 @@ def _steady(residuals: Signal, energies: NDArray[np.float64]) -> bool:
     successive = np.diff(residuals.reshape(len(residuals), -1), axis=0)
     noise = 0.5 * np.einsum("ij,ij->i", successive, successive, dtype=np.float64).mean()
     return bool(noise >= _STEADY_RATIO * energies.mean())
-
-
-def delay_direction(mean: Signal, residuals: Signal) -> Signal | None:
-    """Return the direction of a delay in the residuals of untouched frames, unless noise hides it.
-
-    A trigger that jitters delays all channels alike, which says nothing of fingers. The direction is the derivative of
-    the mean by time, corrected at the frame's ends by what the residuals have in common with it. Slow movement, as of a
-    plate that warms, is no jitter: only differences of successive frames count.
-
-    Parameters
-    ----------
-    mean : array of shape (channels, samples)
-    residuals : array of shape (n, channels, samples)
-
-    Returns
-    -------
-    array of shape (channels * samples,), of length 1, or None
-    """
-    flat = residuals.reshape(len(residuals), -1)
-    spectrum = np.fft.rfft(mean.astype(np.float64), axis=1)
-    slope = np.fft.irfft(2j * np.pi * np.arange(spectrum.shape[1]) * spectrum, mean.shape[1], axis=1).reshape(-1)
-    length = float(np.linalg.norm(slope))
-    if not length > 0 or len(flat) < _FEWEST_DELAYED:
-        return None
-    along = flat @ (slope / length)
-    variance = float(np.square(np.diff(flat, axis=0)).mean()) / 2
-    if not np.square(np.diff(along)).mean() / 2 > DELAYED * variance > 0:
-        return None
-    common = along @ flat
-    return np.asarray(common / np.linalg.norm(common), mean.dtype)

@@ -188,7 +188,7 @@ class Detector:
             if not alive:
                 if other.known or other.listens:
                     other.follow(detection.residual, self.sequence, detection.energy, touched=False)
-                self._baseline.follow()
+                self._baseline.follow(self.gate.noise_energy)
                 self.followed_ns = detection.t_ns
             return
         # Quicker than where there is no finger to hold.
@@ -203,7 +203,7 @@ class Detector:
             other.follow(detection.residual, self.sequence, detection.energy, touched=True)
         if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.
-            self._baseline.follow(quickly=moved)
+            self._baseline.follow(self.gate.noise_energy, quickly=moved)
             self.followed_ns = detection.t_ns
         whole = energy + self._baseline.delay_energy
         departure &= not finger
@@ -215,7 +215,7 @@ class Detector:
                 self._baseline.shift(self._relearn.left)
                 self._relearn.reset()
             else:
-                self._learn()
+                self._learn(keep_mean=reason is Reason.NOISE)
 
     def _tell_other_chirp(self, skew_ns: float) -> None:
         clocks_ppm = 1e6 * skew_ns / self._pace.period_ns
@@ -282,7 +282,7 @@ class Detector:
             self._signal_energy = baseline.energy()
             self._learning = False
             self.followed_ns = self.liveness.measured_ns = frame.t_ns
-            learned = baseline.learned()
+            learned = baseline.end(self.gate.noise_energy)
         return self._without_measurement(Outcome.LEARNING, frame, lost, learned)
 
     def _without_measurement(
@@ -294,7 +294,7 @@ class Detector:
             baseline.residual, baseline.mean, self._live, False, learned, lost,
         )  # fmt: skip
 
-    def _learn(self) -> None:
-        self._baseline.reset()
+    def _learn(self, *, keep_mean: bool = False) -> None:
+        self._baseline.reset(keep_mean=keep_mean)
         self.other_chirp.begin()
         self._learning = True

@@ -121,9 +121,10 @@ class NoiseModel:
         self._bin_power.reset()
         self._alike, self._compared, self._last_energy = 0.0, 0, 0.0
 
-    def restart(self) -> None:
-        """Estimate the noise from the next frame on: its level has stepped. The present estimate stays until then."""
+    def restart(self, share: float) -> None:
+        """Estimate the noise from the next frames on: its power has become this share, and until then so has it."""
         self._bin_power.restart()
+        self._bin_power.power *= share
 
     def update(self, bins: Array) -> bool:
         """Add the bins of an untouched frame; return whether noise or masked bins are others: call `set_channels`."""

@@ -57,6 +57,7 @@ class PlateModel:
         self._moved = np.zeros_like(self._baseline)
         self._live: NDArray[np.bool_] = np.ones(atlas.description.acquisition.channels, bool)
         self._untouched_ns = 0  # since the noise model was updated
+        self._noise_energy = 0.0  # the detector's, of the last untouched frame
         self._compared_ns = 0
         """When the baseline was compared last."""
         self.moved = False
@@ -122,7 +123,9 @@ class PlateModel:
         if self._left_out:  # with the gate closed every channel holds what the baseline does
             self._select()
         if detection.noise_changed:
-            self.noise.restart()
+            self.noise.restart(min(detection.noise_energy / max(self._noise_energy, 1e-30), 1.0))
+            self._select()
+        self._noise_energy = detection.noise_energy
         self._untouched_ns += detection.period_ns
         due = self._untouched_ns >= NOISE_NS
         if due or detection.t_ns - self._compared_ns > COMPARE_NS:

@@ -20,6 +20,7 @@ from touchd.recording.data import Device, Meta, Recording
 from touchd.twin.electronics import Digitiser, Electronics, noise_states
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
+from touchd.twin.physics.friction import Friction
 from touchd.twin.physics.knock import Ringing
 from touchd.twin.physics.other_pane import Heard
 from touchd.twin.rig import IDEAL, Rig
@@ -66,6 +67,7 @@ def stream(
     jitter.standard_normal(start)  # skip the jitter of earlier frames
     time_s, a = stage.time_s, instrument.acquisition
     ringings = [Ringing(instrument, knock) for knock in stage.knocks]
+    rubs = [Friction(instrument, rub, [*np.atleast_1d(seed), k]) for k, rub in enumerate(stage.rubs)]
     others = [Heard(instrument, pane, stage.rate_hz) for pane in stage.other_panes]
     # In steady state a frame is the mean of all chirps up to the next one.
     starts_s = np.arange(max(round(1 / (stage.rate_hz * (a.chirp.period_s or np.inf))), 1)) * (a.chirp.period_s or 0.0)
@@ -82,6 +84,9 @@ def stream(
         for ringing in ringings:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 frame += ringing.signal(begin_s + sample_s).reshape(len(frame), len(starts_s), -1).mean(axis=1)
+        for rub in rubs:
+            for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
+                frame += np.mean([rub.signal(begin_s + chirp_s) for chirp_s in starts_s.tolist()], axis=0)
         for other in others:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 frame += other.signal(begin_s)

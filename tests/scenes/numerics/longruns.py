@@ -58,7 +58,7 @@ def resting_baseline(rate_hz: float, inputs: NDArray[np.int16], start: NDArray[n
         for frame in inputs:
             t_ns += round(1e9 / rate_hz)
             baseline.subtract(frame, t_ns)
-            baseline.follow()
+            baseline.follow(0.0)
     else:
         raise AssertionError("no state came again")
     off = float(np.abs(baseline.mean.astype(np.float64) - exact).max())

@@ -50,6 +50,6 @@ def test_a_baseline_that_fades_stays_finite_and_harmless() -> None:
     silence = np.zeros((1, 8), np.int16)
     for number in range(20_000):
         energy = baseline.subtract(silence, 8_000_000 * number)
-        baseline.follow()
+        baseline.follow(0.0)
     assert 0 < np.abs(baseline.mean).max() < TINY
     assert energy == 0.0

@@ -78,10 +78,45 @@ def test_quickly() -> None:
     for quickly in (True, False):
         before = plate.baseline.mean.copy()
         plate.subtract(np.rint(before) + 100, PERIOD_NS)
-        plate.baseline.follow(quickly=quickly)
+        plate.baseline.follow(0.0, quickly=quickly)
         steps.append(float((plate.baseline.mean - before).mean()))
     expected = [100 * s / (SETTINGS.time_constant_s + s) for s in (8 * PERIOD_NS * 1e-9, PERIOD_NS * 1e-9)]
     assert steps == pytest.approx(expected, rel=0.1)
+
+
+def test_noise_alone() -> None:
+    """Of a plate that is loud the noise is learned, and the mean stays what it was before."""
+    plate = Plate(7)
+    plate.learn([MEAN] * 32)
+    plate.baseline.end(1.0)
+    before = plate.baseline.mean.copy()
+    plate.baseline.reset(keep_mean=True)
+    learned = Plate(8, noise=1000.0)
+    learned.baseline = plate.baseline
+    found = learned.learn([MEAN] * 32)
+    assert found
+    residuals = plate.baseline.end(1e4)
+    np.testing.assert_array_equal(plate.baseline.mean, before)
+    assert np.sqrt(np.square(residuals).mean()) == pytest.approx(1000, rel=0.05)
+
+
+def test_loud_noise_moves_the_mean_the_less() -> None:
+    """As the noise grows, what it adds to the mean stays; once it has gone, the plate is followed as ever."""
+    plate = Plate(9, noise=0.0)
+    plate.learn([np.rint(MEAN)] * 32)
+    plate.baseline.end(1.0)
+
+    def step(noise_energy: float) -> float:
+        before = plate.baseline.mean.copy()
+        plate.subtract(np.rint(before) + 100)
+        plate.baseline.follow(noise_energy)
+        return float((plate.baseline.mean - before).mean())
+
+    usual = step(1.0)
+    assert step(1.5) == pytest.approx(usual, rel=0.02)
+    assert step(10.0) == pytest.approx(usual / 10, rel=0.02)
+    assert step(1e9) == pytest.approx(usual / 100, rel=0.02)
+    assert step(5.0) == pytest.approx(usual, rel=0.02), "it has fallen: what is left of it is in the mean"
 
 
 @pytest.mark.parametrize(("gap_ns", "share"), [(3_600_000_000_000, 0.1 / 0.6), (-5_000_000, 0.0), (0, 0.0)])
@@ -90,7 +125,7 @@ def test_gap(gap_ns: int, share: float) -> None:
     plate = Plate(6, noise=0.0)
     plate.learn([np.rint(MEAN)] * 32)
     plate.subtract(np.rint(MEAN) + 100, gap_ns)
-    plate.baseline.follow()
+    plate.baseline.follow(0.0)
     np.testing.assert_allclose(plate.baseline.mean - np.rint(MEAN), 100 * share, atol=1e-3)
 
 
@@ -108,7 +143,7 @@ def test_long_time_constant(time_constant_s: float, period_ns: int) -> None:
     for number in range(frames):
         plate.t_ns += period_ns
         plate.baseline.subtract(drifted[number % 8], plate.t_ns)
-        plate.baseline.follow()
+        plate.baseline.follow(0.0)
     assert (plate.baseline.mean - before).mean() == pytest.approx(3 * (1 - np.exp(-0.25)), rel=0.1)
 
 

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from tests.fields import RIG, untouched
 from touchd.config.schema import Settings
-from touchd.detection.baseline import Baseline, delay_direction
+from touchd.detection.baseline import Baseline
 from touchd.detection.detector import Detector
+from touchd.detection.jitter import delay_direction
 from touchd.frame import Frame
 from touchd.outcome import Outcome
 

@@ -96,7 +96,7 @@ def test_time_constant(rate_hz: int) -> None:
     for _ in range(round(0.5 * rate_hz)):
         t_ns += round(1e9 / rate_hz)
         baseline.subtract(np.full(SHAPE, 100, np.int16), t_ns)
-        baseline.follow()
+        baseline.follow(0.0)
     assert baseline.mean.mean() == pytest.approx(100 * (1 - np.exp(-1)), rel=0.06)
 
 
