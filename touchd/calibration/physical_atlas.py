@@ -48,6 +48,9 @@ MODES_ABOVE = 1.4
 """Modes up to this many times the highest frequency tell how contacts scatter each other's waves."""
 _LEAST_LINE = 1e-6
 """Lines with a smaller share of the largest line's energy in the bins are in none."""
+STEADY_LACK = 4.0
+"""In steady state a fit's few lines leave less of the discs' response than of a wave elsewhere. With it 62 to 70 % of
+fingertips' errors are within the standard error, with 1 48 % (other simulator, 96 and 192 kHz)."""
 DRAWN = 300
 _WEIGHINGS = 2
 _SEED = 0xF1E1D
@@ -261,7 +264,7 @@ def calibrated(plain: Atlas, lacking: float, position_mm: Floats, values: Comple
     """
     placed = place(plain, values, position_mm)
     predicted = FieldMap(plain).at(placed.position_mm)
-    lack = lack_of_physics(predicted, lacking)
+    lack = lack_of_physics(predicted, lacking, plain.description.acquisition)
     error = field_error(values, predicted, placed.amplitude, 0.0)
     levels = noisy_levels(plain, values, position_mm, noise_counts, seed=_SEED)
     noise_scale, drawn_scale = calibrate([level for _, level in levels], float(error.mean()))
@@ -271,9 +274,10 @@ def calibrated(plain: Atlas, lacking: float, position_mm: Floats, values: Comple
     return replace(plain, description=description, error=(error + lack).astype(np.float32))
 
 
-def lack_of_physics(field: Complex, lacking: float) -> Floats:
+def lack_of_physics(field: Complex, lacking: float, acquisition: Acquisition) -> Floats:
     """Return the mean square of what a field (n, R, bins) misses, shape (R, bins), of a fit with this `lacking`.
 
     What the fit leaves of the untouched response it leaves of a wave; the field is a product of two.
     """
-    return np.asarray(2 * lacking * np.square(np.abs(field)).mean(axis=0))
+    waves = 2 if acquisition.chirp.period_s is None else 2 * STEADY_LACK
+    return np.asarray(waves * lacking * np.square(np.abs(field)).mean(axis=0))

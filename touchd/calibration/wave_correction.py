@@ -100,7 +100,7 @@ def with_waves(
         progress("taps", (done + 1) / ROUNDS)
     if not stays < MOST_STAYS:
         return Corrected(atlas, 1.0)
-    mended = (1 - stays) * np.minimum(lack_of_physics(on_grid, lacking), atlas.error)
+    mended = (1 - stays) * np.minimum(lack_of_physics(on_grid, lacking, d.acquisition), atlas.error)
     return Corrected(replace(corrected, error=(atlas.error - mended).astype(np.float32)), stays)
 
 
