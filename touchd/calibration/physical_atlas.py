@@ -23,7 +23,7 @@ from touchd.calibration.spline_grid import coefficients_of, grid_of
 from touchd.calibration.untouched_model import band
 from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
 from touchd.frame import Acquisition, Plate
-from touchd.localization.atlas import Atlas, AtlasDescription
+from touchd.localization.atlas import MAX_BYTES, Atlas, AtlasDescription
 from touchd.localization.features import band_bins, windowed_dft
 from touchd.localization.plate_modes import PlateModes
 from touchd.localization.position_error import UNUSUAL
@@ -46,6 +46,8 @@ STEADY_AREAS = (0.4, 2.0)
 """The same in steady state, where the atlas knows what weighs on the plate: what it still misses grows with that."""
 MODES_ABOVE = 1.4
 """Modes up to this many times the highest frequency tell how contacts scatter each other's waves."""
+MODES_SHARE = 0.9
+"""Of the largest atlas, all that shapes may fill up: the rest of them is small."""
 _LEAST_LINE = 1e-6
 """Lines with a smaller share of the largest line's energy in the bins are in none."""
 STEADY_LACK = 4.0
@@ -120,15 +122,12 @@ class PhysicalField:
         return np.asarray(real + 1j * imaginary)
 
     def modes(
-        self,
-        size_mm: tuple[float, float],
-        step_mm: float,
-        kept: NDArray[np.bool_] | NDArray[np.integer],
-        weight: Floats,
-    ) -> PlateModes:
+        self, size_mm: tuple[float, float], step_mm: float, kept: NDArray[np.integer], weight: Floats, most_bytes: int
+    ) -> PlateModes | None:
         """Return what tells how contacts scatter each other's waves into the bins `kept`, which have weights.
 
-        `step_mm` is the field's: a mode is half as fine as the field, a product of two waves.
+        `step_mm` is the field's: a mode is half as fine as the field, a product of two waves. None where a file would
+        hold more than `most_bytes` of shapes, as of large panes: the larger, the less contacts hear of each other.
         """
         to_bins = self._to_bins[:, kept] * weight
         size = np.square(np.abs(to_bins)).sum(axis=1).reshape(2, -1).sum(axis=0)
@@ -138,6 +137,9 @@ class PhysicalField:
         near = omega < MODES_ABOVE * nu.real.max()
         loss = np.broadcast_to(response.loss, response.nu_rad_s.shape)[lines]
         x, y = (grid_of(side_mm, 2 * step_mm) for side_mm in size_mm)
+        values = int(near.sum()) * len(x.nodes_mm) * len(y.nodes_mm) * (2 if np.iscomplexobj(self._discs) else 1)
+        if np.dtype(np.float16).itemsize * values > most_bytes:
+            return None
         samples = []
         for y_mm in y.samples_mm:
             places = np.stack([x.samples_mm, np.full_like(x.samples_mm, y_mm)], axis=1)
@@ -227,7 +229,8 @@ def make_physical_atlas(
     if field.steady:
         yields = coefficients_of(np.concatenate(shares), x, y)
         values = as_reference(plain, values, position_mm, field.yields(position_mm)[:, kept])
-        plain = replace(plain, yields=yields, modes=field.modes(plate.size_mm, step_mm, kept, weight))
+        left = int(MODES_SHARE * MAX_BYTES) - np.dtype(np.float16).itemsize * (plain.coefficients.size + yields.size)
+        plain = replace(plain, yields=yields, modes=field.modes(plate.size_mm, step_mm, kept, weight, left))
     return calibrated(plain, fit.lacking, position_mm, values, noise_counts)
 
 

@@ -140,6 +140,20 @@ def test_fingers_on_a_thin_plate(thin: tuple[PlateFit, Atlas], fingers: int) -> 
     assert np.median(missed) < 0.07
 
 
+def test_large_pane(thin: tuple[PlateFit, Atlas]) -> None:
+    """Where a file would not hold the modes' shapes, the atlas is made without them."""
+    fit, atlas = thin
+    field, d = PhysicalField(fit), atlas.description
+    kept = np.searchsorted(band_bins(AUDIO), d.bins)
+    assert atlas.modes
+    shapes_bytes = 2 * atlas.modes.shapes.size
+    asked = THIN.size_mm, d.step_mm, kept, d.bin_weights
+    assert field.modes(*asked, shapes_bytes - 1) is None
+    found = field.modes(*asked, shapes_bytes)
+    assert found
+    np.testing.assert_allclose(found.shapes, atlas.modes.shapes)
+
+
 @pytest.mark.parametrize("length_mm", [100.0, 99.99, 250.3, 7.6])
 def test_grid(length_mm: float) -> None:
     """Every place on the plate has its four nodes, and every node enough samples: a smooth function comes back."""
