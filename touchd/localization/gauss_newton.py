@@ -133,7 +133,7 @@ class GaussNewton:
         scattered: Array | None = None
         if self._spline.loading:
             sizes = sizes_of(joint.step(self._products(at, shapes)[1]).amplitudes, turns)
-        if self._contacts.scattering:
+        if self._contacts.scattering and count > 1:
             z = as_points(joint.step(self._products(at, shapes, sizes)[1]).amplitudes, turns)
             bins, scattered = self._contacts.scattering.take_out(bins, at, z)
             self._load(bins)
