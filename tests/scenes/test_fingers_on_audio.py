@@ -15,7 +15,7 @@ from touchd.localization.model import Model
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 
-FRAMES = 50
+FRAMES = 30
 
 
 @pytest.mark.parametrize(
