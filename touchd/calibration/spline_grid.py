@@ -6,7 +6,7 @@ the nodes beyond the edge have no sample of their own.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from touchd.localization.atlas import Array
 from touchd.training.field.place import real_nodes
 
 _DENSE_CELLS = 2
+Solved = TypeVar("Solved", Floats, Complex)
 
 
 class Grid(NamedTuple):
@@ -45,8 +46,14 @@ def spline_values(at_mm: Floats, nodes_mm: Floats, step_mm: float) -> Floats:
     return np.asarray(np.where(apart < 1, near, np.maximum(2 - apart, 0.0) ** 3 / 6))
 
 
+def solved(values: Solved, x: Grid, y: Grid) -> Solved:
+    """Return the coefficients of splines through values at all samples of a grid, row by row: (samples, ...)."""
+    rows = values.reshape(len(y.samples_mm), len(x.samples_mm), -1)
+    nodes = np.tensordot(y.solve, np.tensordot(x.solve, rows, (1, 1)), (1, 1))
+    found: Solved = nodes.reshape(*nodes.shape[:2], *values.shape[1:])
+    return found
+
+
 def coefficients_of(values: Complex, x: Grid, y: Grid) -> Array:
     """Return an atlas' coefficients from the field at all samples of its grid, row by row: (samples, R, bins)."""
-    rows = values.reshape(len(y.samples_mm), len(x.samples_mm), -1)
-    nodes = np.tensordot(y.solve, np.tensordot(x.solve, rows, (1, 1)), (1, 1))  # (rows, columns, R * bins)
-    return real_nodes(nodes.reshape(*nodes.shape[:2], *values.shape[1:]))
+    return real_nodes(solved(values, x, y))

@@ -122,7 +122,7 @@ class NoiseModel:
         self._alike, self._compared, self._last_energy = 0.0, 0, 0.0
 
     def restart(self, share: float) -> None:
-        """Estimate the noise from the next frames on: its power has become this share, and until then so has it."""
+        """Estimate the noise from the next frames on; until it is known it is this `share` of what it was."""
         self._bin_power.restart()
         self._bin_power.power *= share
 

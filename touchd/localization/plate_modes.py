@@ -56,18 +56,20 @@ def from_arrays(found: Mapping[str, NDArray[Any]], dtype: DTypeLike) -> PlateMod
         return None
     if missing := [key for key in KEYS if key not in found]:
         raise ValueError(f"{', '.join(missing)} missing")
-    for key in KEYS:
-        if found[key].dtype.kind != "f" or not np.isfinite(found[key]).all():
+    with np.errstate(all="ignore"):  # what overflows is infinite, and refused
+        cast = {key: found[key].astype(dtype) if found[key].dtype.kind == "f" else np.array(np.nan) for key in KEYS}
+    for key, values in cast.items():
+        if not np.isfinite(values).all():
             raise ValueError(f"{key} holds what is no number")
-    shapes, discs, receptance, loads, heard = (_whole(found[key].astype(dtype), key) for key in (_SHAPES, *_COMPLEX))
-    to_bins, grid = np.ascontiguousarray(found[_TO_BINS].astype(dtype)), found[_GRID]
+    shapes, discs, receptance, loads, heard = (_whole(cast[key], key) for key in (_SHAPES, *_COMPLEX))
+    to_bins, grid, turns = np.ascontiguousarray(cast[_TO_BINS]), found[_GRID], np.iscomplexobj
     counts = {
         _SHAPES: shapes.ndim == 3 and min(shapes.shape[:2]) >= 4 and shapes.shape[2] > 0,
         _GRID: grid.shape == (3,) and grid[0] > 0,
-        "modes_discs": discs.ndim == 2 and len(discs) == shapes.shape[-1],
-        "modes_receptance": receptance.shape == (shapes.shape[-1], len(loads)),
-        "modes_loads": loads.ndim == 1,
-        "modes_heard": heard.shape == (discs.shape[-1] - 1, len(loads)),
+        "modes_discs": discs.ndim == 2 and len(discs) == shapes.shape[-1] and turns(discs) == turns(shapes),
+        "modes_receptance": receptance.shape == (shapes.shape[-1], len(loads)) and turns(receptance),
+        "modes_loads": loads.ndim == 1 and turns(loads),
+        "modes_heard": heard.shape == (discs.shape[-1] - 1, len(loads)) and turns(heard),
         _TO_BINS: to_bins.ndim == 2 and len(to_bins) == 2 * len(loads),
     }
     if wrong := [key for key, fits in counts.items() if not fits]:

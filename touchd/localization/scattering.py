@@ -24,6 +24,7 @@ from touchd.localization.fit import Bins
 from touchd.localization.loading import MOST_SIZE
 from touchd.localization.plate_modes import Array
 from touchd.localization.spline import Position
+from touchd.localization.spline_weights import SPLINES
 
 Floats = NDArray[np.floating]
 
@@ -91,8 +92,7 @@ class Scattering:
         column, of_columns = _weights((x_mm - x0_mm) / step_mm, columns)
         row, of_rows = _weights((y_mm - y0_mm) / step_mm, rows)
         around = self._shapes[row : row + 4, column : column + 4].reshape(16, n)
-        weights = [down * across for down in of_rows for across in of_columns]
-        return np.asarray(np.array(weights, self._to_bins.dtype).dot(around))
+        return np.asarray(np.outer(of_rows, of_columns).reshape(-1).astype(self._to_bins.dtype).dot(around))
 
 
 @cache
@@ -103,9 +103,8 @@ def _pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return one[first], other[first]
 
 
-def _weights(at: float, count: int) -> tuple[int, list[float]]:
+def _weights(at: float, count: int) -> tuple[int, NDArray[np.float64]]:
     """Return the first of the four nodes around a place, counted in nodes, and their cubic B-splines' values there."""
     cell = min(max(int(at), 1), count - 3)
     t = at - cell
-    s = 1 - t
-    return cell - 1, [s**3 / 6, 2 / 3 - t * t * (2 - t) / 2, 2 / 3 - s * s * (2 - s) / 2, t**3 / 6]
+    return cell - 1, np.array([1.0, t, t * t, t**3]) @ SPLINES

@@ -15,7 +15,7 @@ come from a table. A fit starts from the raster's point, and its last step leads
 SLOPES = ((0, 0), (1, 0), (0, 1))
 """Orders along x and y of the field, and of its slopes."""
 # From powers of the fraction of a cell to the four cubic B-splines that are not zero there.
-_SPLINES = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], np.float64) / 6
+SPLINES = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], np.float64) / 6
 
 
 @cache
@@ -31,7 +31,7 @@ def spline_weights(
     zero, one = np.zeros_like(t), np.ones_like(t)
     powers = ([one, t, t**2, t**3], [zero, one, 2 * t, 3 * t**2], [zero, zero, 2 * one, 6 * t], [zero] * 3 + [6 * one])
     of_order = [
-        (np.stack(power, axis=1) @ _SPLINES / step_mm**order).astype(dtype) for order, power in enumerate(powers)
+        (np.stack(power, axis=1) @ SPLINES / step_mm**order).astype(dtype) for order, power in enumerate(powers)
     ]
     of_rows = np.concatenate([np.repeat(of_order[along_y], 4, axis=1) for _, along_y in orders], axis=1)
     of_columns = np.concatenate([np.tile(of_order[along_x], 4) for along_x, _ in orders], axis=1)

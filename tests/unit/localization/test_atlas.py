@@ -158,6 +158,9 @@ def test_a_damaged_one_says_what_is_wrong(
         (lambda p: p.update(modes_to_bins=p["modes_to_bins"][:, :-2]), "modes of 4 channels and 28 values"),
         (lambda p: p.update(modes_shapes=p["modes_shapes"].astype(int)), "modes_shapes holds what is no number"),
         (lambda p: p.update(modes_receptance=np.full_like(p["modes_receptance"], np.inf)), "modes_receptance holds"),
+        (lambda p: p.update(modes_loads=np.full(p["modes_loads"].shape, 1e300)), "modes_loads holds"),
+        (lambda p: p.update(modes_heard=p["modes_heard"][..., :1]), "modes_heard of shape"),
+        (lambda p: p.update(modes_discs=np.repeat(p["modes_discs"], 2, axis=-1)), "modes_discs of shape"),
         (lambda p: p.pop("yields"), "modes, but no yields"),
     ],
 )

@@ -1,8 +1,8 @@
 """What a plate sounds like while something slides on it: a key that scratches, a coin, a nail, a cloth that wipes.
 
 Each slip of the many asperities is a small blow: together they are a force of white noise, other in each frame, at a
-place that moves. A force of 30 mN RMS in the chirp's band is as loud there as -20 dB of a disc driven by 10 V. Of what
-slides there is but the noise: what it weighs on the plate is a contact of its own.
+place that moves. By the blow of `knock` -20 dB is a force of some 30 mN RMS in the chirp's band. Of what slides there
+is but the noise: what it weighs on the plate is a contact of its own.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from touchd.twin.physics.response import Response
 Floats = NDArray[np.float64]
 
 RECORD = 2048
-"""Samples of the force that a frame still hears, or two frames: at 250 kHz what rings on from before is -40 dB."""
+"""Samples of the force, or two frames of them, of which a frame hears the last: what still rings wraps around, so that
+the noise is as loud from the first sample to the last."""
 _STILL_HZ = 50.0
 """Below, where the free plate has no response, it is as here."""
 _DECAY_PER_S = 1e-3
@@ -52,10 +53,8 @@ class Friction:
         loss = np.broadcast_to(instrument.response.loss, instrument.response.nu_rad_s.shape)
         loss_at = np.interp(omega, instrument.response.nu_rad_s.real, loss)
         self._response = Response(instrument.plate, modes, omega - 1j * _DECAY_PER_S, loss_at)
-        coupled = omega / (omega - 2j * np.pi * COUPLED_HZ)
-        self._heard = (
-            coupled * anti_alias(omega.astype(complex), a.sample_rate_hz) * high_pass(omega.astype(complex), a)
-        )
+        coupled, at = omega / (omega - 2j * np.pi * COUPLED_HZ), omega.astype(complex)
+        self._heard = coupled * anti_alias(at, a.sample_rate_hz) * high_pass(at, a)
         low_hz, high_hz = a.chirp.band_hz
         middle = (rub.start_s + rub.stop_s) / 2
         power = np.square(np.abs(self._to_receivers(middle)))[(hz > low_hz) & (hz < high_hz)].sum()
@@ -76,9 +75,8 @@ class Friction:
         """Return the response of each receiver to a force where the stroke is, shape (F, R)."""
         rub = self._rub
         share = (time_s - rub.start_s) / max(rub.stop_s - rub.start_s, 1e-9)
-        x_mm, y_mm = (
-            np.array([one + share * (other - one)]) for one, other in zip(rub.from_mm, rub.to_mm, strict=True)
-        )
+        place_mm = (1 - share) * np.array(rub.from_mm) + share * np.array(rub.to_mm)
+        x_mm, y_mm = place_mm[:, None]
         shape = self._response.shape_at(x_mm, y_mm, np.array([FACE_MM2]))
         heard = self._response.receptance(shape, self._response.modes.discs[:, 1:])
         return np.asarray(heard * self._heard[:, None])
