@@ -27,6 +27,8 @@ _QUICKLY = 8
 _LOUD, _LEAST_CALM = 2.0, 0.01
 """Noise of more than this much of the energy that it had when the mean was learned moves the mean the less, so that the
 mean is as good as it was; but a plate that warms is still followed in a minute."""
+_USED_TO_S = 10.0
+"""What stays loud becomes the usual: e times as much in this time."""
 _STEADY_RATIO = 0.7
 _PATIENCE_WINDOWS = 20
 """A plate that is never steady is learned as it is after this many windows: a poor baseline is better than none."""
@@ -240,18 +242,24 @@ class Baseline:
             self._every = math.ceil(_LEAST_SHARE / share) if 0 < share < _LEAST_SHARE else 1
             elapsed_s *= self._every
             self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
+        calm = self._calm(noise_energy)
         self._waited += 1
         if self._waited < self._every:
             return
         self._waited = 0
+        _multiply(self._whole, self._weight if calm == 1 else calm * self._weight, self._step)
+        _add(self.mean, self._step, self.mean)
+
+    def _calm(self, noise_energy: float) -> float:
+        """Return the share of its usual pace at which the mean follows, by how loud the noise has become."""
         if noise_energy < max(self._calm_energy, self._noise_energy / _LOUD):
             self._calm_energy = noise_energy  # what was loud has gone: the rest of it is in the mean
         self._noise_energy = noise_energy
-        weight = self._weight
-        if noise_energy > _LOUD * self._calm_energy:
-            weight = weight * max(self._calm_energy / noise_energy, _LEAST_CALM)
-        _multiply(self._whole, weight, self._step)
-        _add(self.mean, self._step, self.mean)
+        if noise_energy <= _LOUD * self._calm_energy:
+            return 1.0
+        grown = 1 + min(max(self._elapsed_ns * 1e-9, 0.0), _LONGEST_STEP_S) / _USED_TO_S
+        self._calm_energy = max(grown * self._calm_energy, _LEAST_CALM * noise_energy)
+        return self._calm_energy / noise_energy
 
 
 def _energies(residuals: Signal, delay: Signal | None = None) -> NDArray[np.float64]:

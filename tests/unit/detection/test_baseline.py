@@ -117,6 +117,13 @@ def test_loud_noise_moves_the_mean_the_less() -> None:
     assert step(10.0) == pytest.approx(usual / 10, rel=0.02)
     assert step(1e9) == pytest.approx(usual / 100, rel=0.02)
     assert step(5.0) == pytest.approx(usual, rel=0.02), "it has fallen: what is left of it is in the mean"
+    for _ in range(60 * 125):
+        step(1e4)
+    assert step(1e4) == pytest.approx(usual, rel=0.02), "in a minute it is the usual"
+    step(0.0)
+    for _ in range(60 * 125):
+        step(1.0)
+    assert step(1.0) == pytest.approx(usual, rel=0.02), "so it is after silence"
 
 
 @pytest.mark.parametrize(("gap_ns", "share"), [(3_600_000_000_000, 0.1 / 0.6), (-5_000_000, 0.0), (0, 0.0)])
