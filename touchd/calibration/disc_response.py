@@ -3,27 +3,24 @@
 A disc is nine means over it: the outward rotation around its rim, by which it drives and senses, and the two other
 rotations around it, which its bending stiffness resists; the deflection and its two slopes, which carry its mass; the
 plate's two rotations, which move it in the plane, as it lies below the plate's middle; and the deflection under the
-bead of solder and glue where its cable leaves. With the receptances G between these vectors on the free plate, the
-loaded plate follows from Woodbury's identity with a matrix of nine times the number of discs at each frequency, so that
-no disc needs an eigenproblem of its own. What holds an edge is more such vectors: `loads`.
+bead of solder and glue where its cable leaves. What holds an edge is more such vectors: `loads`. How the loaded plate
+follows from them: `loaded_plate`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from itertools import product
 
 import numpy as np
 
+from touchd.calibration.loaded_plate import Load, LoadedPlate, heard, times
 from touchd.calibration.loads import LEAST_RATIO, SCATTERER, Guess, Lines, cell_vectors, disc_vectors, vectors_of
 from touchd.calibration.reduced_plate import SHAPE_NAMES, Complex, Floats, ReducedPlate
 from touchd.twin.physics import legendre
 from touchd.twin.physics.transducer import CELL_MASS, CELL_STIFFNESS, CELLS, MEANS, OTHER_BENDING
 
 _PLACE_STEP_M, _STRETCH_STEP_PER_M = 1e-6, 0.1
-ABSENT = 1e-9
-"""A vector with this share of its largest value in a class of modes is absent there."""
 
 
 class DiscResponse:
@@ -40,44 +37,41 @@ class DiscResponse:
         every = np.concatenate([vectors, lines.vectors], axis=1) if lines else vectors
         self._phi = plate.turned(every, self._bare)
         stiff: Complex = np.asarray(1 + 1j * loss.at(nu_rad_s), np.complex128)
-        self._H = 1 / (self._bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
+        nu2: Complex = nu_rad_s**2
         D = len(discs.centres_m)
         volume = shape.h * shape.width * shape.height
-        spring, inert = shape.speed2 / volume * stiff[:, None], -(nu_rad_s[:, None] ** 2) / volume
-        # Loads of the discs' vectors per mass of the plate, by what they are proportional to, shape (F, MEANS D).
+        spring, inert = shape.speed2 / volume, 1 / volume
+        # Loads of the discs' vectors, by what they are proportional to, shape (MEANS D,).
         other, lever2, spread = OTHER_BENDING, discs.lever2_m2, discs.spread
-        self._per_stiffness = spring * np.repeat([1, other, other, 0, 0, 0, 0, 0, 0], D)
-        self._per_mass = inert * np.repeat([0, 0, 0, 1, lever2, lever2, spread, spread, 0], D)
-        self._inert = inert
-        heavy, lifted = discs.mass_kg_m3 * inert, lever2 > 0
+        by_stiffness = spring * np.repeat([1, other, other, 0, 0, 0, 0, 0, 0], D)
+        by_mass = inert * np.repeat([0, 0, 0, 1, lever2, lever2, spread, spread, 0], D)
+        self._per_stiffness, self._per_mass = stiff[:, None] * by_stiffness, -nu2[:, None] * by_mass
+        self._inert = -nu2[:, None] * inert
+        heavy, lifted = discs.mass_kg_m3 * self._inert, lever2 > 0
         rolls, tilts = np.repeat([0, 0, 0, 0, 1, 1, 0, 0, 0], D), np.repeat([0, 0, 0, 0, 0, 0, 1, 1, 0], D)
         self._per_gyration2 = heavy * rolls if lifted else heavy / discs.face_m2 * tilts
         # A wider disc of the same gyration rolls less, and its slopes are means over a wider face.
         self._by_face = self._per_gyration2 * (1.0 if lifted else discs.spread)
-        self._stiff_load = np.tile(discs.stiffness_m3, MEANS) * self._per_stiffness
-        self._disc_load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
-        self._disc_load[:, -D:] = discs.beads_kg_m3 * inert
-        # Of each scatterer, likewise: (F, CELLS times its means).
-        by_mass, by_stiffness = np.repeat(CELL_MASS, CELLS), np.repeat(CELL_STIFFNESS, CELLS)
-        self._per_scatterer = inert * by_mass, spring * by_stiffness
-        springs = [stiffness * self._per_scatterer[1] for stiffness in discs.scatterers[:, 4]]
-        masses = [mass * self._per_scatterer[0] for mass in discs.scatterers[:, 3]]
-        self._stiff_load = np.concatenate([self._stiff_load, *springs], axis=1)
-        self._disc_load = np.concatenate([self._disc_load, *map(np.add, masses, springs)], axis=1)
-        self._held = self._disc_load.shape[1]
-        self._load = self._disc_load  # (F, V)
+        # Of each scatterer, likewise: (CELLS times its means,).
+        cells = spring * np.repeat(CELL_STIFFNESS, CELLS), inert * np.repeat(CELL_MASS, CELLS)
+        self._per_scatterer = -nu2[:, None] * cells[1], stiff[:, None] * cells[0]
+        masses = discs.mass_kg_m3 * by_mass
+        masses[-D:] = discs.beads_kg_m3 * inert
+        springs = np.tile(discs.stiffness_m3, MEANS) * by_stiffness
+        load = Load(
+            np.concatenate([springs, *np.outer(discs.scatterers[:, 4], cells[0])]),
+            np.concatenate([masses, *np.outer(discs.scatterers[:, 3], cells[1])]),
+            np.zeros((len(nu2), 0), complex),
+        )
+        self._held = len(load.masses)
+        self._stiff_load, self._disc_load = stiff[:, None] * load.springs, load.at(stiff, nu_rad_s)
         self._per_edge: dict[str, Complex] = {}
         if lines:
             self._per_edge = lines.loads(edges.middle_rad_s, nu_rad_s, stiff)
-            total = sum(max(edges.values[name], 0.0) * load for name, load in self._per_edge.items())
-            self._load = np.concatenate([self._load, total], axis=1)
-        free = self._mutual(self._phi)
-        V = free.shape[1]
-        system = self._load[:, :, None] * free
-        system.reshape(len(system), -1)[:, :: V + 1] += 1  # in place: it is the largest array of a fit
-        self._turn = np.linalg.solve(system, np.eye(V, D)[None])
-        """What of each disc's rotation remains as forces, shape (F, V, D)."""
-        self._G = free @ self._turn
+            load = lines.added(load, edges, self._per_edge)
+        self._load = load.at(stiff, nu_rad_s)  # (F, V)
+        self._loaded = LoadedPlate(plate, self._bare, self._phi, load, stiff, nu_rad_s, D)
+        self._G = self._loaded.found
         """What each vector of the loaded plate answers to each disc, shape (F, V, D)."""
 
     def untouched(self) -> Complex:
@@ -155,33 +149,9 @@ class DiscResponse:
         G = self._G[:, first : first + load.shape[1]]
         return np.asarray(np.einsum("fk,fk,fkr->rf", load, G[..., 0], G[..., 1:]))
 
-    def _mutual(self, vectors: Floats) -> Complex:
-        """Return the free plate's receptance between any two vectors (n, V), shape (F, V, V).
-
-        An edge's vectors have a parity: half of them are zero in each class of modes.
-        """
-        V, F = vectors.shape[1], len(self._nu)
-        found = np.zeros((V, V, F), dtype=complex)
-        for own, kernel in zip(self._plate.to_classes(vectors), self._plate.to_classes(self._H), strict=True):
-            there = np.flatnonzero(np.abs(own).max(axis=0) > ABSENT * np.abs(vectors).max(axis=0))
-            some = own.T[there]
-            for i, row in enumerate(there):
-                found[row, there[i:]] += _product(some[i] * some[i:], kernel)
-        lower = np.tril_indices(V, -1)
-        found[lower] = found[lower[::-1]]
-        return np.ascontiguousarray(found.transpose(2, 0, 1))
-
-    @cached_property
-    def _answers(self) -> Complex:
-        """The loaded plate's answer to each disc's rotation in its free modes, shape (n, D, F)."""
-        F, V, D = self._turn.shape
-        forces = np.ascontiguousarray(self._turn.transpose(1, 2, 0)).reshape(V, D * F)
-        return self._H[:, None] * _product(self._phi, forces).reshape(-1, D, F)
-
     def _heard(self, shapes: Floats) -> Complex:
         """Return what k vectors (k, n) in the free plate's modes find of the answer to each disc, shape (k, D, F)."""
-        n, D, F = self._answers.shape
-        return _product(shapes, self._answers.reshape(n, D * F)).reshape(-1, D, F)
+        return heard(shapes, self._loaded.answers)
 
     def _across(self, changes: Sequence[Floats], first: int = 0) -> list[Complex]:
         """Return what each change of the vectors from `first` on, each (n, k), finds of the answer to each disc.
@@ -228,7 +198,7 @@ class DiscResponse:
     def _by_plate(self, names: set[str]) -> dict[str, Complex]:
         """Return the derivatives by wave speed, thickness, Poisson's ratio, width, height and loss."""
         D = len(self._discs.centres_m)
-        x = self._answers
+        x = self._loaded.answers
         found: dict[str, Complex] = {}
         squares = self._bare.omega2[:, None]
         stiff = 1 + 1j * self._loss.at(self._nu)
@@ -243,10 +213,7 @@ class DiscResponse:
             found["loss"] = by_loss
         if "slope" in names:
             found["slope"] = by_loss * np.log(np.maximum(self._nu.real / self._loss.middle_rad_s, LEAST_RATIO))
-        in_reference = [
-            _product(turn, own.reshape(len(own), -1)).reshape(own.shape)
-            for turn, own in zip(self._bare.turns, self._plate.to_classes(x), strict=True)
-        ]
+        in_reference = [heard(turn, own) for turn, own in zip(self._bare.turns, self._plate.to_classes(x), strict=True)]
         for name in names & set(SHAPE_NAMES):
             value = getattr(self._shape, name)
             if name == "speed2":
@@ -257,9 +224,9 @@ class DiscResponse:
                 if slope is None:
                     continue
                 K, M = slope
-                y = stiff * _product(K, own[:, 0])
+                y = stiff * times(K, own[:, 0])
                 if M.any():
-                    y -= self._nu**2 * _product(M, own[:, 0])
+                    y -= self._nu**2 * times(M, own[:, 0])
                 total -= (y[:, None] * own[:, 1:]).sum(axis=0)
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
@@ -270,8 +237,3 @@ class DiscResponse:
                 total += self._by_vectors(across)
             found[name] = total
         return found
-
-
-def _product(real: Floats, other: Complex) -> Complex:
-    """Return a real matrix (k, n) times a complex one (n, m): with both parts side by side one real product does."""
-    return np.asarray((real @ np.ascontiguousarray(other).view(float)).view(complex))

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from touchd.calibration.loaded_plate import Load
 from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate, Shape
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
@@ -182,6 +183,18 @@ class Lines(NamedTuple):
             for side, weight in self.weights.items()
             for kind, law in laws.items()
         }
+
+    def added(self, load: Load, edges: Edges, by_name: dict[str, Complex]) -> Load:
+        """Return a load with that of the edges; `by_name` is what `loads` returned."""
+        unit, weights = edges.middle_rad_s**2, np.array(list(self.weights.values()))
+        values = np.array([[max(edges.values[f"{side} {kind}"], 0.0) for side in self.weights] for kind in KINDS])
+        springs, dashpots, masses = values
+        damped = [each * by_name[f"{side} damping"] for side, each in zip(self.weights, dashpots, strict=True)]
+        return Load(
+            np.concatenate([load.springs, unit * (springs @ weights)]),
+            np.concatenate([load.masses, masses @ weights]),
+            np.sum(damped, axis=0),
+        )
 
     def elastic(self, edges: Edges) -> Complex:
         """Return the load that the loss factor multiplies, without it, shape (1, E)."""

@@ -157,11 +157,9 @@ class ReducedPlate:
         for each in self.classes:
             K, mass = each.sums((stiff, more))
             mass[np.diag_indices(len(mass))] += 1
-            root = np.linalg.cholesky(mass)
-            half = np.linalg.solve(root, K)
-            squares, vectors = np.linalg.eigh(np.linalg.solve(root, half.T))
+            squares, turn = modes_of(K, mass)
             omega2.append(np.maximum(squares, 0.0))
-            turns.append(np.linalg.solve(root.T, vectors))
+            turns.append(turn)
         return BareModes(np.concatenate(omega2), turns)
 
     def loaded(self, plate: ElasticPlate, layout: Layout) -> LoadedModes:
@@ -206,6 +204,20 @@ class ReducedPlate:
             along_x, along_y = each.places[field]
             found.append(each.fields[field] @ weights[:, along_x, along_y].reshape(len(weights), -1).T)
         return np.concatenate(found)
+
+
+def modes_of(stiffness: Floats, mass: Floats) -> tuple[Floats, Floats]:
+    """Return squares of angular frequencies (n,), and in columns modes of unit mass (n, n), of two matrices (n, n).
+
+    Raises
+    ------
+    LinAlgError
+        If the mass is not positive.
+    """
+    root = np.linalg.cholesky(mass)
+    half = np.linalg.solve(root, stiffness)
+    squares, vectors = np.linalg.eigh(np.linalg.solve(root, half.T))
+    return squares, np.linalg.solve(root.T, vectors)
 
 
 def _factors(s: Shape) -> _Factors:
