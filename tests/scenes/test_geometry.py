@@ -57,7 +57,7 @@ def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 def test_fingertips(rig: Rig) -> None:
     """A model fitted to an untouched recording of any geometry places fingertips, one in each frame."""
-    recording = simulate_touches(400, seed=5, instrument=rig.instrument, finger="fingertip")
+    recording = simulate_touches(200, seed=5, instrument=rig.instrument, finger="fingertip")
     frames = touched_frames(recording)
     seen = see(find_with(rig.model, rig.model.atlas, frames), frames)
     error_mm = [

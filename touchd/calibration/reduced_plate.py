@@ -214,10 +214,9 @@ def modes_of(stiffness: Floats, mass: Floats) -> tuple[Floats, Floats]:
     LinAlgError
         If the mass is not positive.
     """
-    root = np.linalg.cholesky(mass)
-    half = np.linalg.solve(root, stiffness)
-    squares, vectors = np.linalg.eigh(np.linalg.solve(root, half.T))
-    return squares, np.linalg.solve(root.T, vectors)
+    half = np.linalg.inv(np.linalg.cholesky(mass))
+    squares, vectors = np.linalg.eigh(half @ stiffness @ half.T)
+    return squares, half.T @ vectors
 
 
 def _factors(s: Shape) -> _Factors:
