@@ -71,7 +71,7 @@ def stream(
     others = [Heard(instrument, pane, stage.rate_hz) for pane in stage.other_panes]
     # In steady state a frame is the mean of all chirps up to the next one.
     starts_s = np.arange(max(round(1 / (stage.rate_hz * (a.chirp.period_s or np.inf))), 1)) * (a.chirp.period_s or 0.0)
-    sample_s = (starts_s[:, None] + np.arange(a.samples) / a.sample_rate_hz).reshape(-1)
+    sample_s = starts_s[:, None] + np.arange(a.samples) / a.sample_rate_hz
     end = len(time_s) if stop is None else stop
     for first in range(start, end, block):
         last = min(first + block, end)
@@ -83,7 +83,7 @@ def stream(
             signal += change_by(stage, instrument, first, touches, temperature_c, late_s)
         for ringing in ringings:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
-                frame += ringing.signal(begin_s + sample_s).reshape(len(frame), len(starts_s), -1).mean(axis=1)
+                frame += np.mean([ringing.signal(begin_s + each_s) for each_s in sample_s], axis=0)
         for rub in rubs:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 frame += np.mean([rub.signal(begin_s + chirp_s) for chirp_s in starts_s.tolist()], axis=0)

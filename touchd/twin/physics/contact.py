@@ -74,14 +74,13 @@ def impedance_of(contact: Contact, omega_rad_s: Complex) -> Complex:
     """
     if not is_compliant(contact.kind):
         return np.asarray(impedance(contact.kind, omega_rad_s, contact.area_mm2))[:, None, None]
-    basis = _basis(_degree(contact.area_mm2))
-    return np.asarray(basis.T @ _between(contact, omega_rad_s) @ basis)
+    steps, which = _steps(_degree(contact.area_mm2))
+    return np.tensordot(_by_step(contact, steps, omega_rad_s), which, 1)
 
 
-def _between(contact: Contact, omega_rad_s: Complex) -> Complex:
-    """Return the impedance between the discs of a face, N s/m, shape (F, p, p)."""
+def _by_step(contact: Contact, steps: Floats, omega_rad_s: Complex) -> Complex:
+    """Return the impedance between discs of a face that are some steps (s, 2) apart, N s/m, shape (F, s)."""
     tissue, disc_mm2 = tissue_of(contact.kind), contact.area_mm2 / len(_discs())
-    steps, which = _steps()
     apart_m = 1e-3 * np.linalg.norm(_on_face_mm(contact, steps), axis=1)
     apart_m[0] = 1.0
     omega = omega_rad_s[:, None]
@@ -90,7 +89,7 @@ def _between(contact: Contact, omega_rad_s: Complex) -> Complex:
     # A disc's mean is its middle plus r^2 / 8 of the Laplacian in the plane, at both ends of the way.
     z = z * (1 + disc_mm2 * 1e-6 / (4 * np.pi) * (1 / apart_m**2 + 1j * k / apart_m - k**2))
     z[:, 0] = piston(omega_rad_s, disc_mm2, tissue)
-    return np.asarray(z[:, which])
+    return np.asarray(z)
 
 
 def _on_face_mm(contact: Contact, points: Floats) -> Floats:
@@ -117,14 +116,21 @@ def _discs() -> Floats:
 
 
 @cache
-def _steps() -> tuple[Floats, NDArray[np.intp]]:
-    """Return the distinct steps between discs, the first one zero, and which leads from disc to disc, (p, p)."""
+def _steps(degree: int) -> tuple[Floats, Floats]:
+    """Return the s distinct steps between discs, (s, 2), the first one zero, and how they add to forces, (s, K, K).
+
+    That is the sum over all pairs of discs that a step leads from one to the other of the forces' weights at both.
+    """
     lattice = _lattice()
     apart = (lattice[:, None] - lattice).reshape(-1, 2)
     apart *= np.where((apart[:, :1] < 0) | ((apart[:, :1] == 0) & (apart[:, 1:] < 0)), -1, 1)
     distinct, which = np.unique(apart, axis=0, return_inverse=True)
     assert not distinct[0].any()
-    return _points(distinct), which.reshape(len(lattice), len(lattice))
+    basis = _basis(degree)
+    pairs = (basis[:, None, :, None] * basis[None, :, None, :]).reshape(len(apart), *basis.shape[1:] * 2)
+    forces = np.zeros((len(distinct), *pairs.shape[1:]))
+    np.add.at(forces, which.reshape(-1), pairs)
+    return _points(distinct), forces
 
 
 def _points(lattice: NDArray[np.int64]) -> Floats:

@@ -49,6 +49,7 @@ class Response:
         self.plate = plate
         self.modes, self.loss, self.supports = modes, loss, supports
         self.nu_rad_s = np.asarray(nu_rad_s, dtype=np.complex128)
+        self._few: dict[int, tuple[Complex, Floats]] = {}
         # Where shapes are real, stacking the parts makes one real product of what would be two.
         self._parts = 1 if np.iscomplexobj(modes.w) else 2
         self._near = self._count_near()
@@ -72,6 +73,11 @@ class Response:
 
     def _frequencies(self, count: int) -> tuple[Complex, Floats]:
         """Return up to `count` frequencies, and the weights (F, count) by which smooth functions follow from them."""
+        if count not in self._few:
+            self._few[count] = self._choose(count)
+        return self._few[count]
+
+    def _choose(self, count: int) -> tuple[Complex, Floats]:
         real, damping = self.nu_rad_s.real, self.nu_rad_s.imag
         if len(real) <= count or np.ptp(damping) > 0:
             return self.nu_rad_s, np.eye(len(real))
