@@ -52,20 +52,21 @@ random: setup
 deb: setup
 	@DEBIAN=$(DEBIAN) ARCH=$(ARCH) deploy/build-deb.sh $(BIN)/python
 
-vm-packages:
+# After `test-packages`, for the same reason.
+vm-packages: test-packages
 	@deploy/debian-packages.sh vm
 
 # The package in a virtual machine with the kernel's own USB; the machine is made once and kept in ~/.cache/touchd-vm.
-vm-test: setup test-packages vm-packages
+vm-test: setup vm-packages
 	$(BIN)/python -m pytest -o faulthandler_timeout=2500 tests/system/vm/scenario.py $(ARGS)
 
 # The touch screen under Weston and Xorg, as a page in Chromium hears it, and an audio interface on a loopback card: a
 # quarter of an hour on an idle machine, and ten minutes more for a new virtual one.
-kiosk-test: setup test-packages vm-packages
+kiosk-test: setup vm-packages
 	$(BIN)/python -m pytest -s -o faulthandler_timeout=5500 tests/system/kiosk/scenario.py $(ARGS)
 
 # From a bare plate to a page that hears touches, in the same: calibration, wizard, screen.
-promise-test: setup test-packages vm-packages
+promise-test: setup vm-packages
 	$(BIN)/python -m pytest -s -o faulthandler_timeout=7300 tests/system/kiosk/promise.py $(ARGS)
 
 lint: setup
