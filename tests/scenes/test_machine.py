@@ -19,7 +19,7 @@ from touchd.twin.physics.friction import Rub
 from touchd.twin.physics.knock import Knock
 from touchd.twin.physics.other_pane import OtherPane
 from touchd.twin.scenes.catalogue import stage_scene
-from touchd.twin.scenes.timeline import Stage, still
+from touchd.twin.scenes.timeline import Stage, line, still
 from touchd.twin.simulate import DEFAULT_PLATE
 
 
@@ -116,6 +116,21 @@ def test_a_key_that_scratches_is_no_touch(level_db: float, instrument: Instrumen
     found = score(stage, play(stage, instrument))
     assert (found.touches, found.missed, found.ghosts) == (3, 0, 0)
     assert np.median(np.hypot(*found.error_mm.T)) < 0.2
+
+
+@pytest.mark.parametrize("seed", [2822000, 2822001])
+def test_a_finger_that_sounds_as_it_slides_is_followed(seed: int, instrument: Instrument) -> None:
+    """It was once located in a third of the frames, up to 4 mm off."""
+    rng = np.random.default_rng(seed)
+    start_mm, stop_mm = rng.uniform(30, 170, (2, 2))
+    stage = empty_stage(2.6, seed=seed)
+    stage.lay("fingertip", 1.0, 2.3, line(start_mm, stop_mm, 1.2), force_n=0.5)
+    stage.rubs.append(Rub(1.1, 2.2, tuple(start_mm.tolist()), tuple(stop_mm.tolist()), -30.0))
+    found = score(stage, play(stage, instrument))
+    off_mm = np.hypot(*found.error_mm.T)
+    assert (found.missed, found.split, found.ghosts) == (0, 0, 0)
+    assert len(off_mm) > 100
+    assert np.percentile(off_mm, 95) < 1.0
 
 
 def test_knocks_alone_are_no_touches(instrument: Instrument) -> None:

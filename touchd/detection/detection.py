@@ -45,6 +45,9 @@ class Detection(Struct, gc=False, frozen=True):
     rings: bool = False
     """Whether the plate rings from a knock: outside the chirp's band it is louder than fingers and noise are."""
 
+    sounds: bool = False
+    """Whether it is louder there for longer than an impulse lasts: it rings, or something slides on it."""
+
     @property
     def noise_energy(self) -> float:
         """Mean energy of the residual of an untouched frame, counts squared."""

@@ -110,12 +110,13 @@ class Interference:
             self._hear(detection.t_ns, loud=not touched)
             in_band = 0 <= detection.t_ns - self._knocked_ns < self._in_band_ns
             rings = touched and (in_band or self._is_loud(residual, energy) or baseline.clips(self._top))
-        if not (found or hits or hums or knocked or clips):
+        sounds = touched and self.impulses.in_vain > 0
+        if not (found or hits or hums or knocked or clips or sounds):
             return detection
         return replace(
             detection, outcome=Outcome.TOUCHED if touched else Outcome.UNTOUCHED, energy=energy, noise_changed=changed,
             noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=self.tones.known_hz, hits=hits,
-            rings=rings,
+            rings=rings, sounds=sounds,
         )  # fmt: skip
 
     def _hear(self, t_ns: int, *, loud: bool) -> None:

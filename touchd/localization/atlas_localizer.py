@@ -194,6 +194,8 @@ class AtlasLocalizer:
                 fit = self._landing.fit(detection, bins, signal)
             bins, fit = self._follower.settle(self._plate, detection.hits, bins, fit, shaped=not held)
         self._follower.drop()
+        if tracked and detection.sounds and not held:
+            noise.hear(self._solver.residual(bins, fit, self._follower.shapes_of(fit)), t_ns)
         signal, excess, confidence = noise.judge(bins, fit)
         if excess > CRITERIA.search_above and (less := self._feet.take_out(detection, bins, fit, tracked=tracked)):
             held, (bins, fit) = False, less
@@ -222,8 +224,7 @@ class AtlasLocalizer:
             bins, fit = self._follower.settle(self._plate, detection.hits, bins, fit, shaped=not tracked)
             signal, excess, confidence = noise.judge(bins, fit)
         # From the next frame on a search begins for what may be beside one well explained finger that has just landed.
-        waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
-        if waits:
+        if not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair:
             search.cancel()  # it began with a frame that was not like this
         elif search.is_due(excess, signal):
             if not search.pending and self._plate.drop_silent(detection):
@@ -256,11 +257,10 @@ class AtlasLocalizer:
 
     def _is_untouched(self, bins: Bins, plate_energy: float, t_ns: int) -> bool:
         """Return whether noise and the plate's own movement explain a frame, and if so follow that movement."""
-        if not self._plate.explains(bins, plate_energy, t_ns):
-            return False
-        self._search.cancel()
-        self._plate_moved = self._plate.moved
-        return True
+        if explained := self._plate.explains(bins, plate_energy, t_ns):
+            self._search.cancel()
+            self._plate_moved = self._plate.moved
+        return explained
 
     def _accept(
         self, bins: Bins, fit: Fit, confidence: float, excess: float, t_ns: int, *, alone: bool

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
@@ -19,6 +21,9 @@ _OUTDATED = 1.1
 SIGNIFICANT = 80.0
 """Energy, in variances of a bin's part, that a fit must explain: at the best of a thousand positions white noise
 explains some 15, and up to twice that where the window correlates neighbouring bins."""
+_ALIKE_COSINE, _SOUND_NS = 0.4, 100_000_000
+"""What fingers leave of two frames, at most so long apart, is noise below this cosine; what is another finger's is more
+alike."""
 ALIKE, COMPARED_FRAMES = 50.0, 32
 """White noise in n values has n shapes, or n / 3 where the window correlates neighbouring bins. Noise with fewer than
 n / 50 shapes over 32 frames is coloured: tones and jitter have two to four (twin)."""
@@ -113,6 +118,9 @@ class NoiseModel:
         self._error, self._noise_scale = atlas.error, d.noise_scale
         self._energy = np.zeros((), dtype)
         self._last, self._before = np.zeros(atlas.size, dtype), np.zeros(atlas.size, dtype)
+        self._left = np.zeros(atlas.size, dtype)  # by fingers of the last frame that sounded
+        self._usual_energy, self._counted = 0.0, 1.0  # how many times the usual energy is counted with, ...
+        self._louder, self._sounded_ns = 1.0, -_SOUND_NS  # ... and in the last frame that sounded, and when
         self.mask, self.noise_energy = None, 0.0
         self.reset()
 
@@ -151,15 +159,41 @@ class NoiseModel:
         dtype = self._energy.dtype
         self.mask = None if values.all() else values.astype(dtype)
         self.active_bins = max(int(values.sum()), 1)
-        self.noise_energy = float(self._bin_power.power[values].sum())
-        self.ceiling = (1 + CRITERIA.noise_spread) * self.noise_energy
-        self.variance = self._noise_scale * self.noise_energy / self.active_bins
-        self.min_signal_energy = SIGNIFICANT * self.noise_energy / self.active_bins
+        self._usual_energy = float(self._bin_power.power[values].sum())
+        self._count(1.0)
         self.mean_error = float(self._error[live].mean())
         self._directions = directions
         if self.mask is not None:
             self._directions = np.linalg.qr((directions * values).T)[0].T.astype(dtype)  # orthonormal again
         self._along = np.zeros(len(self._directions), dtype)
+
+    def listen(self, sounds: bool, t_ns: int) -> None:
+        """Count with the noise of the last frame in which the plate sounded for one in which it `sounds`."""
+        louder = self._louder if sounds and 0 <= t_ns - self._sounded_ns < _SOUND_NS else 1.0
+        if louder != self._counted:
+            self._count(louder)
+
+    def hear(self, left: Array, t_ns: int) -> None:
+        """Take what the fingers followed leave of a frame that sounds, shape (size,), for its noise.
+
+        Not if it is like what they left of the last such frame: then it is another finger's.
+        """
+        energy, before = float(left @ left), float(self._left @ self._left)
+        lately = 0 <= t_ns - self._sounded_ns < _SOUND_NS
+        alike = lately and abs(float(left @ self._left)) > _ALIKE_COSINE * math.sqrt(energy * before)
+        self._left[:] = left
+        self._sounded_ns = t_ns
+        silent = self._usual_energy <= 0
+        self._louder = 1.0 if alike or silent else max(energy / self._usual_energy, 1.0)
+        self._count(self._louder)
+
+    def _count(self, louder: float) -> None:
+        """Count with so many times the usual energy of noise."""
+        self._counted = louder
+        self.noise_energy = louder * self._usual_energy
+        self.ceiling = (1 + CRITERIA.noise_spread) * self.noise_energy
+        self.variance = self._noise_scale * self.noise_energy / self.active_bins
+        self.min_signal_energy = SIGNIFICANT * self.noise_energy / self.active_bins
 
     @property
     def is_alike(self) -> bool:
@@ -188,7 +222,7 @@ class NoiseModel:
 
     def _is_outdated(self) -> bool:
         """Return whether the noise has become another while nothing else called for `set_channels`."""
-        power, known = self._bin_power.power, self.noise_energy
+        power, known = self._bin_power.power, self._usual_energy
         if self.mask is None:
             np.add.reduce(power, out=self._energy)
         else:

@@ -108,6 +108,7 @@ class PlateModel:
     def listen(self, detection: Detection) -> bool:
         """Use the channels that are live, and no bin beside a tone; return whether others were used before."""
         changed = False
+        self.noise.listen(detection.sounds, detection.t_ns)
         if detection.live is not self._live:
             self._live, changed = detection.live, True
             self._select()
@@ -118,6 +119,7 @@ class PlateModel:
 
     def observe(self, detection: Detection) -> bool:
         """Follow noise and baseline on an untouched frame; return whether it updated the noise model."""
+        self.noise.listen(False, detection.t_ns)
         if detection.live is not self._live or detection.tones_hz is not self._tones_hz:
             self.listen(detection)
         if self._left_out:  # with the gate closed every channel holds what the baseline does

@@ -155,3 +155,42 @@ def test_double() -> None:
         model.update(frame)
     model.set_channels(np.ones(4, bool), NO_DIRECTIONS)
     assert model.noise_energy == pytest.approx(np.square(frames).mean(axis=0).sum(), rel=1e-12)
+
+
+# -- a plate that sounds -----------------------------------------------------------------------------
+
+
+def heard(model: NoiseModel, left: np.ndarray, t_ns: int) -> float:
+    """Return the noise energy counted with in a frame that sounds, of which fingers leave this."""
+    model.listen(True, t_ns)
+    model.hear(left.astype(np.float32), t_ns)
+    return model.noise_energy
+
+
+@given(louder=st.floats(2.0, 1e3), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_a_frame_that_sounds_has_the_noise_that_fingers_leave(louder: float, seed: int) -> None:
+    """So has the next one until it is fitted; any other frame, or one long after, has the usual one."""
+    model, rng = model_of(1.0), np.random.default_rng(seed)
+    usual, variance = model.noise_energy, model.variance
+    for t_ns in range(0, 40_000_000, 8_000_000):
+        left = louder * rng.standard_normal(ATLAS.size)
+        assert heard(model, left, t_ns) == pytest.approx(float(left @ left), rel=1e-3)
+        assert model.variance / variance == pytest.approx(model.noise_energy / usual)
+    raised = model.noise_energy
+    model.listen(False, 40_000_000)
+    assert model.noise_energy == usual
+    model.listen(True, 48_000_000)
+    assert model.noise_energy == raised
+    model.listen(True, 400_000_000)
+    assert model.noise_energy == usual
+
+
+def test_another_finger_is_no_noise() -> None:
+    """What is left twice alike is not counted, nor is less than the usual noise."""
+    model, rng = model_of(1.0), np.random.default_rng(5)
+    usual = model.noise_energy
+    finger = 10 * rng.standard_normal(ATLAS.size)
+    assert heard(model, finger + rng.standard_normal(ATLAS.size), 0) > 10 * usual
+    assert heard(model, finger + rng.standard_normal(ATLAS.size), 8_000_000) == usual
+    assert heard(model, 0.5 * rng.standard_normal(ATLAS.size), 16_000_000) == usual
