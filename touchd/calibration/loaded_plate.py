@@ -68,41 +68,34 @@ class LoadedPlate:
         discs: int, *, by_modes: bool | None = None,
     ) -> None:  # fmt: skip
         n, V = vectors.shape
-        self._turn: Floats | None = None
-        if n < _FEW * V if by_modes is None else by_modes:
-            own = _own_modes(bare, vectors, load)
-            bare, self._turn = own if own else (bare, None)
-        self._H = 1 / (bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
+        own = _own_modes(bare, vectors, load) if (n < _FEW * V if by_modes is None else by_modes) else None
+        self._turn = own.turns[0] if own else None
+        self._H = 1 / ((own or bare).omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
         if self._turn is None:
             free = _mutual(plate.to_classes(vectors), plate.to_classes(self._H))
-            self._driven = vectors
-            self._forces = np.linalg.solve(_resisted(load.at(stiff, nu_rad_s), free), np.eye(V, discs)[None])
+            self._vectors = vectors
+            self._forces = _solved(_resisted(load.at(stiff, nu_rad_s), free), np.eye(V, discs)[None])
             self.found = free @ self._forces
             return
         vectors = self._turn.T @ vectors
-        self._driven, self._forces = vectors[:, :discs], np.broadcast_to(np.eye(discs) + 0j, (len(stiff), discs, discs))
+        self._moved = self._H[:, None] * vectors[:, :discs, None]
         if load.dashpots.any():
             ends = vectors[:, V - load.dashpots.shape[1] :]
             met = heard(ends.T, self._moved).transpose(2, 0, 1)
-            taken = np.linalg.solve(
-                _resisted(load.dashpots, _mutual([ends], [self._H])), load.dashpots[:, :, None] * met
-            )
-            self._driven = np.concatenate([self._driven, ends], axis=1)
-            self._forces = np.concatenate([self._forces, -taken], axis=1)
-            del self._moved  # it was without them
+            resisted = _resisted(load.dashpots, _mutual([ends], [self._H]))
+            self._moved -= self._driven(ends, _solved(resisted, load.dashpots[:, :, None] * met))
         self.found = np.ascontiguousarray(heard(vectors.T, self._moved).transpose(2, 0, 1))
 
     @cached_property
     def answers(self) -> Complex:
         """The answers in the free plate's modes, shape (n, D, F)."""
-        return self._moved if self._turn is None else heard(self._turn, self._moved)
+        return self._driven(self._vectors, self._forces) if self._turn is None else heard(self._turn, self._moved)
 
-    @cached_property
-    def _moved(self) -> Complex:
-        """The answers in the modes that are solved for, shape (n, D, F)."""
-        F, k, D = self._forces.shape
-        forces = np.ascontiguousarray(self._forces.transpose(1, 2, 0)).reshape(k, D * F)
-        return self._H[:, None] * times(self._driven, forces).reshape(-1, D, F)
+    def _driven(self, vectors: Floats, forces: Complex) -> Complex:
+        """Return what forces (F, k, D) along k vectors move, in the modes that are solved for, shape (n, D, F)."""
+        F, k, D = forces.shape
+        by_vector = np.ascontiguousarray(forces.transpose(1, 2, 0)).reshape(k, D * F)
+        return self._H[:, None] * times(vectors, by_vector).reshape(-1, D, F)
 
 
 def heard(shapes: Floats, answers: Complex) -> Complex:
@@ -115,8 +108,8 @@ def times(real: Floats, other: Complex) -> Complex:
     return np.asarray((real @ np.ascontiguousarray(other).view(float)).view(complex))
 
 
-def _own_modes(bare: BareModes, vectors: Floats, load: Load) -> tuple[BareModes, Floats] | None:
-    """Return the modes of a plate with springs and masses, and they in the free one's (n, n); None if it has none."""
+def _own_modes(bare: BareModes, vectors: Floats, load: Load) -> BareModes | None:
+    """Return the modes of a plate with springs and masses, in those of the free one; None if it has none."""
     stiffness, mass = ((vectors * each) @ vectors.T for each in (load.springs, load.masses))
     diagonal = np.diag_indices(len(mass))
     stiffness[diagonal] += bare.omega2
@@ -125,7 +118,12 @@ def _own_modes(bare: BareModes, vectors: Floats, load: Load) -> tuple[BareModes,
         omega2, turn = modes_of(stiffness, mass)
     except np.linalg.LinAlgError:
         return None
-    return BareModes(omega2, [turn]), turn
+    return BareModes(omega2, [turn])
+
+
+def _solved(system: Complex, loads: Floats | Complex) -> Complex:
+    """Return the forces (F, V, D) that solve systems (F, V, V) with loads (F, V, D), or the same for all."""
+    return np.asarray(np.linalg.solve(system, loads), np.complex128)
 
 
 def _resisted(load: Complex, mutual: Complex) -> Complex:
