@@ -47,6 +47,8 @@ _STENCILS = np.array([[1, 4, 1], [-3, 0, 3], [6, -12, 6]]) / 6
 """Value and first two derivatives of a cubic B-spline at a node."""
 _DERIVATIVES = ((1, 0), (0, 1), (0, 0), (2, 0), (0, 2), (1, 1))
 """Orders along x and y of u_x, u_y, u, u_xx, u_yy and u_xy."""
+_UNKNOWNS = np.array([0, 1, 2, 9, 3, 10, 4, 11, 5, 12, 6, 13])
+"""Of the fields of x, y, u, u along the band, u_xx, u_yy and u_xy, then of 1j times each: amplitudes have two parts."""
 _TURN = cmath.rect(1.0, PHASE_RAD)
 
 
@@ -140,42 +142,44 @@ def shape_information(atlas: Atlas) -> ShapeInformation:
 def _tables(atlas: Atlas) -> NDArray[np.float64]:
     """Return the variances of both moments and the squared bias at every node, shape (3, rows, columns).
 
-    The first two invert the Fisher information of x, y and the five amplitudes of one contact. Fingers nearby share
-    their information; that is left out, as what the fit of several leaves is larger. The bias is that of omitted
-    variables: where a fit of x, y and u alone moves to explain u_xx + u_yy.
+    An outermost node lacks a neighbour, and has the numbers of the next one. The first two numbers invert the Fisher
+    information of x, y and the five amplitudes of one contact. Fingers nearby share their information; that is left
+    out, as what the fit of several leaves is larger. The bias is that of omitted variables: where a fit of x, y and u
+    alone moves to explain u_xx + u_yy.
     """
-    d, nodes = atlas.description, atlas.coefficients
-    channels, bins = d.acquisition.channels, len(d.bins)
-    stencils = _STENCILS.astype(nodes.dtype)
-    band = place_in_band(atlas).astype(nodes.dtype)
     # Unknowns: x, y, the parts of u, of u along the band, of a_xx, of a_yy and of a_xy.
     wanted = np.zeros((3, 12))
     wanted[0, -6:-2] = np.tile([_TURN.real / 2, _TURN.imag / 2], 2)
     wanted[1, [-6, -4]], wanted[2, -2] = (0.5, -0.5), 0.5
-    found = np.empty((3, *nodes.shape[:2]))
-    for row in range(len(nodes)):
-        above = np.clip(np.arange(row - 1, row + 2), 0, len(nodes) - 1)
-        along_y = np.tensordot(stencils, nodes[above], 1)  # (orders, columns, size)
-        beside = np.clip(np.arange(nodes.shape[1])[:, None] + (-1, 0, 1), 0, nodes.shape[1] - 1)
-        fields = np.stack(
-            [np.einsum("k,nks->ns", stencils[i], along_y[j][beside]) / d.step_mm ** (i + j) for i, j in _DERIVATIVES],
-            axis=1,
-        )
-        parts = fields.reshape(len(fields), len(_DERIVATIVES), channels, 2, bins)
-        x, y, u, *second = (
-            (parts[..., 0, :] + np.complex64(1j) * parts[..., 1, :]).reshape(*fields.shape[:2], -1).swapaxes(0, 1)
-        )
-        columns = np.stack([x, y, *(turned * one for one in (u, u * band, *second) for turned in (1, 1j))], axis=1)
-        real = columns.view(nodes.dtype)  # both parts side by side: a real product does
-        information = (real @ real.swapaxes(1, 2)).astype(np.float64)
-        # A field of zeros, as of a plate without channels, tells nothing.
-        empty = ~_regular(information)
-        information[empty] = np.eye(information.shape[-1])
-        spread = np.einsum("ki,nij,kj->nk", wanted, _inverse(information), wanted)
-        spread[empty] = np.inf
-        bias_mm = np.linalg.solve(information[:, :4, :4], 2 * information[:, :4] @ wanted[0, :, None])[:, :2, 0]
-        found[:, row] = spread[:, 0], spread[:, 1:].mean(axis=1), np.square(bias_mm).mean(axis=1)
-    return found
+    inner = len(atlas.coefficients) - 2
+    information = np.concatenate([_information(atlas, row) for row in range(1, inner + 1)])
+    # A field of zeros, as of a plate without channels, tells nothing.
+    empty = ~_regular(information)
+    information[empty] = np.eye(12)
+    spread = np.einsum("ki,nij,kj->kn", wanted, _inverse(information), wanted)
+    spread[:, empty] = np.inf
+    bias_mm = np.linalg.solve(information[:, :4, :4], 2 * information[:, :4] @ wanted[0, :, None])[:, :2, 0]
+    found = np.stack([spread[0], spread[1:].mean(axis=0), np.square(bias_mm).mean(axis=1)])
+    return np.pad(found.reshape(3, inner, -1), ((0, 0), (1, 1), (1, 1)), mode="edge")
+
+
+def _information(atlas: Atlas, row: int) -> NDArray[np.float64]:
+    """Return the Fisher information at each node of a row that has neighbours, shape (columns - 2, 12, 12)."""
+    d, nodes = atlas.description, atlas.coefficients
+    channels, bins = d.acquisition.channels, len(d.bins)
+    along_y = np.tensordot(_STENCILS.astype(nodes.dtype), nodes[row - 1 : row + 2], 1)
+    fields = np.empty((nodes.shape[1] - 2, 7, 2, channels, bins), nodes.dtype)  # u along the band is the fourth
+    for k, (i, j) in zip((0, 1, 2, 4, 5, 6), _DERIVATIVES, strict=True):
+        left, here, right = (_STENCILS[i] / d.step_mm ** (i + j)).astype(nodes.dtype)
+        derivative = left * along_y[j, :-2] + here * along_y[j, 1:-1] + right * along_y[j, 2:]
+        fields[:, k] = derivative.reshape(-1, channels, 2, bins).swapaxes(1, 2)
+    fields[:, 3] = fields[:, 2] * place_in_band(atlas).astype(nodes.dtype).reshape(channels, bins)
+    parts = fields.reshape(len(fields), 14, -1)
+    products = (parts @ parts.swapaxes(1, 2)).astype(np.float64).reshape(-1, 7, 2, 7, 2)
+    alike = products[:, :, 0, :, 0] + products[:, :, 1, :, 1]
+    turned = products[:, :, 1, :, 0] - products[:, :, 0, :, 1]  # of one field with 1j times another
+    every = np.block([[alike, turned], [-turned, alike]])
+    return every[:, _UNKNOWNS[:, None], _UNKNOWNS]
 
 
 def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
