@@ -31,6 +31,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from touchd.errors import AddressInUse, ConfigError, InsecureBind
 from touchd.service.signals import stopping
 from touchd.service.systemd import Notifier
+from touchd.sinks.throttle import Throttle
 from touchd.web import calibrate, check, live, replay
 from touchd.web.guards import Guard
 from touchd.web.site import Site
@@ -151,6 +152,22 @@ async def _left(_request: Request, _error: Exception) -> Response:
     return Response(status_code=400)
 
 
+class _Seldom(logging.Filter):
+    """Has what strangers' requests cause, uvicorn's warnings, logged as touchd does: each at most once a second."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._refused: dict[str, Throttle] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Log a warning, or count it; return whether the record is another."""
+        if record.levelno != logging.WARNING:
+            return True
+        refused = self._refused.setdefault(str(record.msg), Throttle("request refused"))
+        refused.warn(reason=record.getMessage().rstrip("."))
+        return False
+
+
 def _without_traceback(record: logging.LogRecord) -> bool:
     """Say in the message what was raised."""
     if record.exc_info:
@@ -168,8 +185,10 @@ def serve(site: Site, listening: socket.socket, ready: Callable[[], object], man
         timeout_graceful_shutdown=_END_S,
     )  # fmt: skip
     server = uvicorn.Server(config)
+    log = logging.getLogger("uvicorn.error")
+    log.addFilter(_Seldom())
     if not debug:
-        logging.getLogger("uvicorn.error").addFilter(_without_traceback)
+        log.addFilter(_without_traceback)
 
     async def run(stop: Event) -> None:
         served = asyncio.create_task(server.serve([listening]))

@@ -220,6 +220,22 @@ def test_no_traceback(address: str) -> None:
     assert "Traceback" not in err
 
 
+def test_malformed_requests_do_not_fill_the_log(address: str) -> None:
+    """They are answered, and told at most once a second."""
+    with web(address) as server:
+        began_s = time.monotonic()
+        for _ in range(100):
+            with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S) as one:
+                one.sendall(b"GET\0\r\n\r\n")
+                assert b" 400 " in one.recv(4096)
+        took_s = time.monotonic() - began_s
+        server.process.send_signal(signal.SIGTERM)
+        _, err = server.process.communicate(timeout=PATIENCE_S)
+    lines = [json.loads(line) for line in err.splitlines()]
+    assert {(line["event"], line["reason"]) for line in lines} == {("request refused", "Invalid HTTP request received")}
+    assert len(lines) <= took_s + 1
+
+
 def test_end(address: str) -> None:
     """SIGTERM ends it at once, with a page that is connected, and with status 0; its output tells no touch."""
     with web(address) as server, live(server) as reader:
