@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
 
 from touchd.errors import SimulationError
 from touchd.frame import Counts, Frame
@@ -19,15 +20,25 @@ from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stream
 _AHEAD = 3
 """Blocks of frames that are computed ahead."""
 _MAX_WAIT_S = 1e6
+_LATE_NS = 100_000_000
+"""So late frames are dated: a fifth of a subscriber's `max_age_s`."""
+
+
+class _Block(NamedTuple):
+    counts: Counts
+    took_ns: int
+    """To compute."""
 
 
 class SimulatedSource(Source):
     """A scene as if it happened now. A slow reader gets every frame, late ones at once.
 
     A frame's `t_ns` is the clock at the first frame plus the scene's own time, so events do not depend on the speed of
-    this computer. The first lap, of `frames` if given, is bit for bit what `simulate_scene` returns for the seed; later
-    laps, if it is to loop, repeat the scene with other noise; sequence and time continue. Unless it is `paced`, frames
-    come as soon as they are computed. At a lower rate (`set_rate`) the source leaves out the frames between.
+    this computer. Only where it cannot keep up, frames are as far apart in time as they take to compute, and the scene
+    goes slower: a subscriber drops events that are old. The first lap, of `frames` if given, is bit for bit what
+    `simulate_scene` returns for the seed; later laps, if it is to loop, repeat the scene with other noise; sequence and
+    time continue. Unless it is `paced`, frames come as soon as they are computed. At a lower rate (`set_rate`) the
+    source leaves out the frames between.
 
     Raises SimulationError if the scene is unknown, too short, or does not fit the plate.
     """
@@ -59,6 +70,9 @@ class SimulatedSource(Source):
         self._frame = 0  # in the lap
         self._lap = 0
         self._last_ns = 0
+        self._awaited = False  # the next block was not computed when it was asked for
+        self._behind_ns = 0.0  # how much slower the scene has gone than the clock since the first frame
+        self._stretch_ns = 0.0  # what each frame of this block adds to it
         self._omitted = 0  # frames left out because of the rate: no number counts them
         self._period_ns, self._wanted_ns = 0.0, -math.inf  # of the rate asked for, and time of the next frame
         self._truth, _ = self._stage.truth()
@@ -82,11 +96,7 @@ class SimulatedSource(Source):
             if not self._take_block((deadline_ns - now_ns) / 1e9):
                 return None
             assert self._block is not None
-            if self._epoch_ns is None:  # after the first block is computed, so that its frames are not late
-                self._epoch_ns = self._clock()
-            laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
-            sequence = laps_ahead + self._sequence[self._frame]
-            t_ns = self._epoch_ns + round((sequence - self._sequence[0]) * 1e9 / self._stage.rate_hz)
+            sequence, t_ns = self._stamp()
             now_ns = self._clock()
             if t_ns >= self._wanted_ns - 0.5e9 / self._stage.rate_hz:
                 break
@@ -123,7 +133,17 @@ class SimulatedSource(Source):
         self._ended = True
         self._worker.shutdown(cancel_futures=True)
 
+    def _stamp(self) -> tuple[int, int]:
+        """Return the number and the time of the next frame."""
+        if self._epoch_ns is None:  # after the first block is computed, so that its frames are not late
+            self._epoch_ns = self._clock()
+        laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
+        sequence = laps_ahead + self._sequence[self._frame]
+        scene_ns = (sequence - self._sequence[0]) * 1e9 / self._stage.rate_hz
+        return sequence, self._epoch_ns + round(scene_ns + self._behind_ns)
+
     def _advance(self) -> None:
+        self._behind_ns += self._stretch_ns
         self._next += 1
         self._frame += 1
         if self._frame == len(self._sequence):
@@ -133,6 +153,7 @@ class SimulatedSource(Source):
         """Take the next block if the last one is used up; return False if none came in time."""
         if self._block is not None and self._next < len(self._block):
             return True
+        self._awaited |= not self._blocks[0].done()
         try:
             block = self._blocks[0].result(max(timeout_s, 0.0))
         except TimeoutError:
@@ -145,22 +166,31 @@ class SimulatedSource(Source):
         if block is None:
             self._ended = True
             raise EndOfStream
-        self._block, self._next = block, 0
+        self._block, self._next, self._stretch_ns = block.counts, 0, 0.0
+        if self._paced and self._awaited:
+            late_ns = self._clock() - self._stamp()[1] - self._complete_ns
+            self._behind_ns += late_ns if late_ns > _LATE_NS else 0
+            period_ns = 1e9 / self._stage.rate_hz
+            if late_ns > -period_ns / 2:  # just in time, or late
+                self._stretch_ns = max(block.took_ns / len(block.counts) - period_ns, 0.0)
+        self._awaited = False
         self._blocks.popleft()
         self._blocks.append(self._request())
         return True
 
-    def _request(self) -> Future[Counts | None]:
+    def _request(self) -> Future[_Block | None]:
         """Have the thread compute the next block; None after the last one."""
         return self._worker.submit(lambda: next(self._computed, None))
 
-    def _compute(self) -> Iterator[Counts]:
+    def _compute(self) -> Iterator[_Block]:
         """Compute the blocks of all laps."""
         lap = 0
         while lap == 0 or self._loop:
             seed = self._seed if lap == 0 else (self._seed, lap)
-            for block in stream(self._stage, self._instrument, seed):
+            began_ns = self._clock()
+            for counts in stream(self._stage, self._instrument, seed):
                 # Read-only, like the frames of every other source.
-                block.flags.writeable = False
-                yield block
+                counts.flags.writeable = False
+                yield _Block(counts, self._clock() - began_ns)
+                began_ns = self._clock()
             lap += 1

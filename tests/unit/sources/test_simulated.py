@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.unit.service import bench
 from touchd.errors import SimulationError
-from touchd.frame import Frame, Plate
+from touchd.frame import Counts, Frame, Plate
 from touchd.sources import simulated
 from touchd.sources.simulated import SimulatedSource
 from touchd.sources.source import EndOfStream, Source
 from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import simulate_scene
+from touchd.twin.simulate import BLOCK, simulate_scene, stream
 
 FRAMES = 170
 
@@ -81,6 +83,51 @@ def test_a_frame_that_is_not_due_within_the_timeout_is_none(instrument: Instrume
     assert frame is not None
     assert frame.sequence == 1
     source.close()
+
+
+class LazyComputer:
+    """An executor, and the future it hands out, that computes only once it is waited for."""
+
+    def __init__(self, *_: object, job: Callable[[], Any] = bool) -> None:
+        self._job = job
+
+    def submit(self, job: Callable[[], Any]) -> LazyComputer:
+        return LazyComputer(job=job)
+
+    def done(self) -> bool:
+        return False
+
+    def result(self, _timeout: float) -> Any:
+        return self._job()
+
+    def shutdown(self, *, cancel_futures: bool) -> None:
+        assert cancel_futures
+
+
+@pytest.mark.parametrize("slower", [(0.8,), (1.5,), (6.0,), (0.5, 1.8), (3.0, 0.1, 0.1)])
+def test_on_a_slow_computer_the_scene_goes_slower_and_its_frames_stay_new(
+    instrument: Instrument, monkeypatch: pytest.MonkeyPatch, slower: tuple[float, ...]
+) -> None:
+    """`slower` is how much longer computing takes than the scene, by block; a subscriber drops events 0.5 s old."""
+    clock = Clock()
+
+    def slow(*of: Any) -> Iterator[Counts]:
+        for counts, takes in zip(stream(*of), itertools.cycle(slower), strict=False):
+            clock.sleep(takes * BLOCK * 0.008)
+            yield counts
+
+    monkeypatch.setattr(simulated, "stream", slow)
+    monkeypatch.setattr(simulated, "ThreadPoolExecutor", LazyComputer)
+    source = SimulatedSource("idle", instrument=instrument, clock=clock, sleep=clock.sleep)
+    frames = [source.read(10.0) for _ in range(40 * BLOCK)]
+    source.close()
+    found = [frame for frame in frames if frame is not None]
+    assert [frame.sequence for frame in found] == list(range(len(frames)))
+    late_s = np.array([frame.received_ns - frame.t_ns for frame in found]) / 1e9 - 0.001
+    assert late_s.min() >= 0
+    assert late_s.max() <= 0.1
+    steps_s = np.diff([frame.t_ns for frame in found]) / 1e9
+    assert steps_s.min() >= 0.008 - 1e-9
 
 
 def test_laps_go_on_counting_and_have_other_noise(instrument: Instrument) -> None:
