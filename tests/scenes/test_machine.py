@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.scenes.stages import empty_stage, play, score
 from tests.unit.calibration.plates import exact_fit, model_of
@@ -15,12 +16,15 @@ from touchd.keypad import PHONE, load_layout
 from touchd.localization.model import Model
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics.film import Film
 from touchd.twin.physics.friction import Rub
 from touchd.twin.physics.knock import Knock
 from touchd.twin.physics.other_pane import OtherPane
 from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.scenes.timeline import Stage, line, still
 from touchd.twin.simulate import DEFAULT_PLATE
+
+Floats = NDArray[np.float64]
 
 
 def mains(level_db: float) -> tuple[Tone, ...]:
@@ -46,7 +50,7 @@ def test_mains_hum_hides_no_tap(finger: str, instrument: Instrument) -> None:
     quiet = tapped(())
     assert quiet.touches > 10
     assert quiet.missed <= 1
-    for level_db in (-40.0, -20.0, 0.0):
+    for level_db in (-30.0, 0.0):
         found = tapped(mains(level_db))
         assert (found.missed, found.ghosts) == (quiet.missed, 0)
         assert np.median(np.hypot(*found.error_mm.T)) < 1.1 * np.median(np.hypot(*quiet.error_mm.T))
@@ -131,6 +135,24 @@ def test_a_finger_that_sounds_as_it_slides_is_followed(seed: int, instrument: In
     assert (found.missed, found.split, found.ghosts) == (0, 0, 0)
     assert len(off_mm) > 100
     assert np.percentile(off_mm, 95) < 1.0
+
+
+def test_taps_after_a_damp_cloth(instrument: Instrument) -> None:
+    """Its film dries for 20 s. It was once taken for the hand that wiped, which hid taps where the hand had been."""
+    stage = empty_stage(7.5, seed=2900002)
+    stage.films.append(Film(1.0, 3.0, (30.0, 40.0), (170.0, 160.0), thickness_um=8.0))
+    for column, (x_mm, y_mm) in enumerate([(-30.0, 0.0), (-10.0, 8.0), (10.0, 8.0), (30.0, 0.0)]):
+
+        def wipe(t: Floats, x_mm: float = x_mm, y_mm: float = y_mm) -> tuple[Floats, Floats]:
+            across_mm = 30 + 140 * (1 - np.abs(3.2 * t % 2 - 1))
+            return np.clip(across_mm + x_mm, 8.0, 192.0), 40 + 60 * t + y_mm
+
+        stage.lay("fingertip", 1.0, 3.0, wipe, force_n=None, area_mm2=55.0, column=column)
+    taps(stage, "fingertip", 3.4, 7.5)
+    found = score(stage, play(stage, instrument))
+    assert found.touches > 6
+    assert found.missed == 0
+    assert np.median(np.hypot(*found.error_mm.T)) < 0.2
 
 
 def test_knocks_alone_are_no_touches(instrument: Instrument) -> None:

@@ -44,6 +44,8 @@ SAME_MM, LATELY_NS = 12.0, 500_000_000
 of a hand that lands at once soon nothing is placed any more."""
 GONE_NS = 300_000_000
 """A palm is forgotten when no contact has been within its reach for so long."""
+FADES = 0.1
+"""Below this share of the largest signal that it had a palm has gone: what a wet one or a cloth leaves is less."""
 LIFTS = 0.8
 """Below this share of the last frame's signal fingers lift, and are not covered by a hand."""
 EVERYWHERE, NOWHERE = PalmArea(0.0, 0.0, math.inf), PalmArea(0.0, 0.0, 0.0)
@@ -70,6 +72,7 @@ class Palm:
         self._since_ns: int | None = None  # of what may be a hand, ...
         self._alike = False  # ... and whether it has looked like one
         self._signal, self._missed = 0.0, False  # missed: nothing of the last frame was placed
+        self._largest = 0.0  # signal of the palm
         self._heavy_mm = 0.0, 0.0  # middle by energy, of the last contacts
         self._places: list[tuple[int, float, float]] = []  # where contacts were seen, and when
 
@@ -109,12 +112,13 @@ class Palm:
             return
         self._look(fit, excess, t_ns)
         self._missed = True
-        if self.area is not None and t_ns <= self._until_ns and excess > UNLIKE:
+        if self.area is not None and t_ns <= self._until_ns and excess > UNLIKE and signal > FADES * self._largest:
             self.see(t_ns)
         self._cover(signal, doubtful=self._since_ns is not None or excess > POOR)
 
     def _cover(self, signal: float, *, doubtful: bool) -> None:
         lifts, self._signal = signal < LIFTS * self._signal, signal
+        self._largest = max(self._largest, signal) if self.area is not None else 0.0
         self.covers = EVERYWHERE if self.area is None and doubtful and not lifts else self.area
 
     def _look(self, fit: Fit, excess: float, t_ns: int) -> None:

@@ -19,6 +19,7 @@ from touchd.jobs import Job, run
 from touchd.recording.data import Device, Meta, Recording
 from touchd.twin.electronics import Digitiser, Electronics, noise_states
 from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.film import Wetted
 from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.friction import Friction
 from touchd.twin.physics.knock import Ringing
@@ -68,6 +69,7 @@ def stream(
     time_s, a = stage.time_s, instrument.acquisition
     ringings = [Ringing(instrument, knock) for knock in stage.knocks]
     rubs = [Friction(instrument, rub, [*np.atleast_1d(seed), k]) for k, rub in enumerate(stage.rubs)]
+    wetted = [Wetted(instrument, film, [*np.atleast_1d(seed), len(rubs) + k]) for k, film in enumerate(stage.films)]
     others = [Heard(instrument, pane, stage.rate_hz) for pane in stage.other_panes]
     # In steady state a frame is the mean of all chirps up to the next one.
     starts_s = np.arange(max(round(1 / (stage.rate_hz * (a.chirp.period_s or np.inf))), 1)) * (a.chirp.period_s or 0.0)
@@ -90,6 +92,9 @@ def stream(
         for other in others:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 frame += other.signal(begin_s)
+        for film in wetted:
+            for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
+                frame += film.signal(begin_s)
         yield digitiser.counts(signal, time_s[first:last], np.array([bool(touch) for touch in touches]))
 
 

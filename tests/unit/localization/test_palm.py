@@ -8,6 +8,7 @@ from msgspec.structs import replace
 from touchd.localization.fit import Fit, no_fit
 from touchd.localization.palm import (
     EVERYWHERE,
+    FADES,
     GONE_NS,
     HUGE_SIZE,
     LARGE_MM2,
@@ -202,3 +203,14 @@ def test_nothing_placed() -> None:
     assert palm.contacts(ball, 0.0, 1.0, t_ns) == {0}
     assert palm.contacts(ball, 0.0, 1.0, t_ns + GONE_NS + 1) == set()
     assert palm.area is None
+
+
+@pytest.mark.parametrize(("share", "forgotten"), [(1.1 * FADES, False), (0.9 * FADES, True)])
+def test_what_it_leaves_is_no_palm(share: float, forgotten: bool) -> None:
+    """A hand that has wiped the plate leaves it damp: nothing explains that, and it hid fingers where the hand was."""
+    palm, t_ns = seen(HUGE, 0.0)
+    assert t_ns is not None
+    for _ in range(100):
+        t_ns += FRAME_NS
+        palm.miss(no_fit(share), 1.0, share, t_ns)
+    assert palm.contacts(fit_of({BALL: 2.0}, 3.0), 0.0, 2.0, t_ns) == (set() if forgotten else {0})

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
+from touchd.twin.physics.film import Film
 from touchd.twin.physics.finger import TISSUES, Contact, area_of, force_of, is_compliant
 from touchd.twin.physics.friction import Rub
 from touchd.twin.physics.knock import Knock
@@ -66,6 +67,7 @@ class Stage:
     knocks: list[Knock] = field(default_factory=list)
     rubs: list[Rub] = field(default_factory=list)
     other_panes: list[OtherPane] = field(default_factory=list)
+    films: list[Film] = field(default_factory=list)
     label_error_mm: Floats | None = None
     """Label error, shape (n, k, 2)."""
 
