@@ -155,6 +155,19 @@ def test_taps_after_a_damp_cloth(instrument: Instrument) -> None:
     assert np.median(np.hypot(*found.error_mm.T)) < 0.2
 
 
+def test_a_mug_is_no_touch(instrument: Instrument) -> None:
+    """What is hard is a spring, which looks like a light finger that lifts: neither it nor what it leaves is one."""
+    stage = empty_stage(6.5, seed=2940001)
+    for column, degrees in enumerate((20.0, 140.0, 260.0), 1):
+        at_mm = 101 + 32 * np.cos(np.radians(degrees)), 127 + 32 * np.sin(np.radians(degrees))
+        stage.lay("object", 1.0, 4.0, still(*at_mm), area_mm2=4.0, column=column, land_s=0.002)
+    for start_s, x_mm, y_mm in ((2.0, 30.0, 40.0), (3.0, 170.0, 60.0), (4.6, 101.0, 127.0), (5.6, 100.0, 95.0)):
+        stage.lay("fingertip", start_s, start_s + 0.25, still(x_mm, y_mm), force_n=0.4)
+    found = score(stage, play(stage, instrument))
+    assert (found.touches, found.missed, found.ghosts, found.split) == (4, 0, 0, 0)
+    assert np.median(np.hypot(*found.error_mm.T)) < 0.2
+
+
 def test_knocks_alone_are_no_touches(instrument: Instrument) -> None:
     stage, rng = empty_stage(8.0, seed=2503004), np.random.default_rng(2503005)
     for number, at_s in enumerate(np.arange(1.0, 7.8, 0.17).tolist()):

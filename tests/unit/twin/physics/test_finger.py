@@ -48,6 +48,15 @@ def test_area_grows_as_the_root_of_the_force() -> None:
     assert force_of("silicone", area_of("silicone", 2.5)) == pytest.approx(2.5)
 
 
+def test_a_hard_foot_is_a_spring() -> None:
+    """Its force lags the velocity by a right angle, less its loss, and falls with the frequency, of any area."""
+    one, other = (complex(impedance("object", omega_rad_s, 4.0)) for omega_rad_s in (2e5, 4e5))
+    assert one == pytest.approx(2 * other)
+    assert np.degrees(np.angle(one)) == pytest.approx(-90 + np.degrees(np.arctan(0.05)))
+    assert abs(other) == pytest.approx(3e6 / 4e5, rel=0.01)
+    np.testing.assert_array_equal(impedance("object", 2e5, [2.0, 9.0]), [one, one])
+
+
 def test_a_drop_is_its_mass() -> None:
     assert drop_mass_mg(18.1) == pytest.approx(29, abs=0.1)
     assert complex(impedance("drop", 1e5, 18.1)) == pytest.approx(1e5j * float(drop_mass_mg(18.1)) * 1e-6)
