@@ -50,7 +50,7 @@ def test_mains_hum_hides_no_tap(finger: str, instrument: Instrument) -> None:
     quiet = tapped(())
     assert quiet.touches > 10
     assert quiet.missed <= 1
-    for level_db in (-30.0, 0.0):
+    for level_db in (-40.0, -20.0, 0.0):
         found = tapped(mains(level_db))
         assert (found.missed, found.ghosts) == (quiet.missed, 0)
         assert np.median(np.hypot(*found.error_mm.T)) < 1.1 * np.median(np.hypot(*quiet.error_mm.T))

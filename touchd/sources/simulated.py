@@ -21,7 +21,7 @@ _AHEAD = 3
 """Blocks of frames that are computed ahead."""
 _MAX_WAIT_S = 1e6
 _LATE_NS = 100_000_000
-"""So late frames are dated: a fifth of a subscriber's `max_age_s`."""
+"""A frame may come this much later than its time says, a fifth of a subscriber's `max_age_s`: then the clock counts."""
 
 
 class _Block(NamedTuple):
@@ -71,7 +71,7 @@ class SimulatedSource(Source):
         self._lap = 0
         self._last_ns = 0
         self._awaited = False  # the next block was not computed when it was asked for
-        self._behind_ns = 0.0  # how much slower the scene has gone than the clock since the first frame
+        self._behind_ns = 0.0  # the scene's time, behind the clock's since the first frame
         self._stretch_ns = 0.0  # what each frame of this block adds to it
         self._omitted = 0  # frames left out because of the rate: no number counts them
         self._period_ns, self._wanted_ns = 0.0, -math.inf  # of the rate asked for, and time of the next frame
@@ -135,7 +135,7 @@ class SimulatedSource(Source):
 
     def _stamp(self) -> tuple[int, int]:
         """Return the number and the time of the next frame."""
-        if self._epoch_ns is None:  # after the first block is computed, so that its frames are not late
+        if self._epoch_ns is None:  # the first block has just been computed: its frames are on time
             self._epoch_ns = self._clock()
         laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
         sequence = laps_ahead + self._sequence[self._frame]

@@ -69,8 +69,9 @@ def stream(
     time_s, a = stage.time_s, instrument.acquisition
     ringings = [Ringing(instrument, knock) for knock in stage.knocks]
     rubs = [Friction(instrument, rub, [*np.atleast_1d(seed), k]) for k, rub in enumerate(stage.rubs)]
-    wetted = [Wetted(instrument, film, [*np.atleast_1d(seed), len(rubs) + k]) for k, film in enumerate(stage.films)]
-    others = [Heard(instrument, pane, stage.rate_hz) for pane in stage.other_panes]
+    beside: list[Heard | Wetted] = [Heard(instrument, pane, stage.rate_hz) for pane in stage.other_panes]
+    for k, film in enumerate(stage.films, len(rubs)):
+        beside.append(Wetted(instrument, film, [*np.atleast_1d(seed), k]))
     # In steady state a frame is the mean of all chirps up to the next one.
     starts_s = np.arange(max(round(1 / (stage.rate_hz * (a.chirp.period_s or np.inf))), 1)) * (a.chirp.period_s or 0.0)
     sample_s = starts_s[:, None] + np.arange(a.samples) / a.sample_rate_hz
@@ -89,12 +90,9 @@ def stream(
         for rub in rubs:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 frame += np.mean([rub.signal(begin_s + chirp_s) for chirp_s in starts_s.tolist()], axis=0)
-        for other in others:
+        for other in beside:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 frame += other.signal(begin_s)
-        for film in wetted:
-            for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
-                frame += film.signal(begin_s)
         yield digitiser.counts(signal, time_s[first:last], np.array([bool(touch) for touch in touches]))
 
 
