@@ -86,7 +86,8 @@ def stream(
             signal += change_by(stage, instrument, first, touches, temperature_c, late_s)
         for ringing in ringings:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
-                frame += np.mean([ringing.signal(begin_s + each_s) for each_s in sample_s], axis=0)
+                if begin_s + sample_s[-1, -1] > ringing.at_s:
+                    frame += sum(ringing.signal(begin_s + each_s) for each_s in sample_s) / len(sample_s)
         for rub in rubs:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 frame += np.mean([rub.signal(begin_s + chirp_s) for chirp_s in starts_s.tolist()], axis=0)

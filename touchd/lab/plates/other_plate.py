@@ -170,21 +170,29 @@ class _Sum:
         along = patch.orthotropy**0.25
         x_x, y_y = along * psi_x[1], psi_y[2] / along
         own, across = (0.0, 0.0) if patch.lever_m else (patch.mass_kg_m2, patch.rotary_kg * (nu / (1 - nu)) ** 2)
-        for total, factor, parts in (
-            (self.mass, patch.mass_kg_m2, [w[0]]),
-            (self.mass, patch.rotary_kg, [psi_x[0], psi_y[0]]),
-            (self.mass, own, [u[0], v[0]]),
-            (self.mass, across, [u[1] + v[2]]),
-            (self.stiff, patch.bending_n_m * (1 + nu) / 2, [x_x + y_y]),
-            (self.stiff, patch.bending_n_m * (1 - nu) / 2, [x_x - y_y]),
-            (self.stiff, patch.bending_n_m * (1 - nu) / 2 * patch.shear_ratio, [psi_x[2] + psi_y[1]]),
-            (self.stiff, patch.stretch_n_m * (1 + nu) / 2, [u[1] + v[2]]),
-            (self.stiff, patch.stretch_n_m * (1 - nu) / 2, [u[1] - v[2], u[2] + v[1]]),
-            (self.stiff, patch.shear_n_m, [w[1] + psi_x[0], w[2] + psi_y[0]]),
-        ):
-            if factor:
-                for part in parts:
-                    total[which] += factor * (part @ part.T)
+        bending = patch.bending_n_m / 2
+        masses = (
+            (patch.mass_kg_m2, [w[0]]),
+            (patch.rotary_kg, [psi_x[0], psi_y[0]]),
+            (own, [u[0], v[0]]),
+            (across, [u[1] + v[2]]),
+        )
+        springs = (
+            (bending * (1 + nu), [x_x + y_y]),
+            (bending * (1 - nu), [x_x - y_y]),
+            (bending * (1 - nu) * patch.shear_ratio, [psi_x[2] + psi_y[1]]),
+            (patch.stretch_n_m * (1 + nu) / 2, [u[1] + v[2]]),
+            (patch.stretch_n_m * (1 - nu) / 2, [u[1] - v[2], u[2] + v[1]]),
+            (patch.shear_n_m, [w[1] + psi_x[0], w[2] + psi_y[0]]),
+        )
+        for total, terms in ((self.mass, masses), (self.stiff, springs)):
+            for sign in (1, -1):
+                alike = [(factor, parts) for factor, parts in terms if sign * factor > 0]
+                if alike:  # all parts side by side: one product instead of up to eight
+                    side = np.concatenate(
+                        [np.sqrt(abs(factor)) * part for factor, parts in alike for part in parts], axis=1
+                    )
+                    total[which] += sign * (side @ side.T)
 
 
 class _Basis:
@@ -209,12 +217,12 @@ class _Basis:
         px, py = (legendre.values(at, side, n) for at, side, n in zip((x_m, y_m), self._size, counts, strict=True))
         dx, dy = (p @ legendre.derivative(side, n) for p, side, n in zip((px, py), self._size, counts, strict=True))
 
-        def of_modes(field: Floats) -> list[Floats]:
-            half_x, half_y = field @ py.T, field @ dy.T
-            pairs = (half_x, px), (half_x, dx), (half_y, px)
-            return [(half.transpose(0, 2, 1) * along).sum(axis=2) for half, along in pairs]
-
-        parts = [np.array([of_modes(field) for field in modes[1:]])]
+        # Value and both slopes of each product of polynomials, at all points: (nx ny, 3 Q).
+        pairs = (px, py), (dx, py), (px, dy)
+        products = [(along[:, :, None] * across[:, None]).reshape(len(x_m), -1) for along, across in pairs]
+        table = np.concatenate(products).T
+        fields = [(field.reshape(len(field), -1) @ table).reshape(len(field), 3, -1) for field in modes[1:]]
+        parts = [np.stack(fields).transpose(0, 2, 1, 3)]
         for k in some:
             around = np.zeros((3, 3, 3, COUNT, len(x_m)))
             for kind in range(3):  # each function is one of the three fields

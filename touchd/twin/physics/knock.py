@@ -65,14 +65,15 @@ class Ringing:
         rms = float(np.sqrt(np.square(instrument.untouched([REFERENCE_C])).mean()))
         self._amplitude *= 10 ** (knock.level_db / 20) * rms / np.sqrt(np.square(first).mean())
         self._loudest = float(np.abs(self._amplitude).max())
-        self._at_s = knock.at_s
+        self.at_s = knock.at_s
+        """Of the blow, since the scene's start."""
 
     def signal(self, time_s: Floats) -> Floats:
         """Return the receivers' signals, (R, S), as `Instrument` counts them, at equally spaced times (S,).
 
         The times are since the scene's start.
         """
-        since_s = time_s - self._at_s
+        since_s = time_s - self.at_s
         if since_s[-1] <= 0:
             return np.zeros((self._amplitude.shape[1], len(time_s)))
         # Modes fade at rates in proportion to their frequencies: soon few are heard.
