@@ -72,11 +72,11 @@ class AtlasLocalizer:
         self.configure(settings, layout)
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
-        """Take other thresholds and keys; fingers are found again in the next frame."""
-        self._settings = settings
-        self._feet.set_places(settings.model.feet_mm)
-        self._touch_maker = TouchMaker(settings, layout)
-        self.reset()
+        """Take other thresholds and keys from the next frame on. Fingers stay, unless the feet are others."""
+        self._settings, self._touch_maker = settings, TouchMaker(settings, layout)
+        self._still.reset()
+        if self._feet.set_places(settings.model.feet_mm):
+            self.reset()
 
     def reset(self) -> None:
         """Forget all fingers, and water."""

@@ -74,8 +74,10 @@ class Feet:
         self._mask: Array | None = None
         self._set_mask(None)
 
-    def set_places(self, places_mm: Sequence[Position]) -> None:
-        """Take the places of all feet."""
+    def set_places(self, places_mm: Sequence[Position]) -> bool:
+        """Take the places of all feet, and return whether they are others than before."""
+        if places_mm == self._places_mm:
+            return False
         self._places_mm = places_mm
         spline, rows = self._spline, []
         for x_mm, y_mm in places_mm:
@@ -87,6 +89,7 @@ class Feet:
             rows += [np.stack(pair, axis=1).reshape(-1) for pair in ((real, imaginary), (-imaginary, real))]
         self._fields = np.array(rows, total.dtype) if rows else self._fields[:0]
         self._set_mask(None)
+        return True
 
     def take_out(self, detection: Detection, bins: Bins, fit: Fit, *, tracked: bool) -> tuple[Bins, Fit] | None:
         """Return bins without the feet's part, and the fingers in them; None unless they leave far less than a fit."""

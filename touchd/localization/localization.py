@@ -47,7 +47,7 @@ class Localizer(Protocol):
         """Relative rise of the plate's resonances since training; None where it cannot be told."""
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
-        """Take other thresholds and keys; fingers are found again in the next frame."""
+        """Take other thresholds and keys from the next frame on; fingers stay where that can be."""
 
     def reset(self) -> None:
         """Forget all fingers."""

@@ -17,6 +17,9 @@ LOOK_UPS_A_SECOND = 8000.0
 """A search may cost this much per second of the frames' time, a quarter of a processor's, ..."""
 MOST_LOOK_UPS = 50.0
 """... and this much in a frame: 1.5 ms. It ends with the piece that uses the allowance up; the next frame gets less."""
+_USUAL_S, _LONGEST_S = 0.01, 0.05
+"""In proportion more where frames come less often than once in this time, up to that one: it takes as many seconds, and
+not as many frames, else fingers that wait for it are lost."""
 _LEAST_SHARE = 0.2
 """Share of it that a search may take however much else is fitted in a frame."""
 _FOLLOW_LOOK_UPS, _LANDING_LOOK_UPS = 6.0, 25.0
@@ -218,7 +221,8 @@ class MultitouchSearch:
     def _allowance(self, fit: Fit, *, landing: bool) -> float:
         """Return how many look-ups the search may take in this frame; what was fitted in it has taken some of them."""
         elapsed_s = max(self._t_ns - self._before_ns, 0) * 1e-9
-        most = MOST_LOOK_UPS if landing else min(LOOK_UPS_A_SECOND * elapsed_s, MOST_LOOK_UPS)
+        at_most = MOST_LOOK_UPS * max(min(elapsed_s, _LONGEST_S) / _USUAL_S, 1.0)
+        most = at_most if landing else min(LOOK_UPS_A_SECOND * elapsed_s, at_most)
         fitted = _FOLLOW_LOOK_UPS * len(fit.positions_mm) if fit.fisher_information else 0.0
         if self.doubts and not self._tracked:
             fitted = _LANDING_LOOK_UPS
