@@ -64,7 +64,7 @@ class Subscriber(Generic[E]):
     address : str, optional
         `tcp://HOST:PORT` or `ipc:///PATH`; by default the installed service, or else a `touchd` on this computer.
     topics : Iterable[str]
-        Of `touchd.event.TOPICS`; an empty string stands for all.
+        Of `touchd.event.TOPICS`; an empty string stands for all. One may be given alone.
     timeout_s : float or None
         How long to wait for each event; None waits for ever.
     server_key : path or None
@@ -110,7 +110,7 @@ class Subscriber(Generic[E]):
     ) -> None:
         addresses = endpoint.defaults(SERVICE_ADDRESS, DEFAULT_ADDRESS) if address is None else (address,)
         self.address = " or ".join(addresses)
-        self.topics = tuple(topics)
+        self.topics = (topics,) if isinstance(topics, str) else tuple(topics)
         self.timeout_s = timeout_s
         self.lost: Counter[str] = Counter()
         """Messages that never arrived, by topic: those skipped by `seq`."""
@@ -120,9 +120,10 @@ class Subscriber(Generic[E]):
         self._newest_only = newest_only
         self._waiting: dict[object, Event] = {}
         self._streams: dict[str, Stream] = {}
-        for topic in self.topics:
-            if topic and topic not in TOPICS:
-                raise BusError(f"there is no topic {topic!r}", self.address, f"choose from {', '.join(TOPICS)}")
+        unknown = [topic for topic in self.topics if topic and topic not in TOPICS]
+        if unknown or not self.topics:
+            what = f"there is no topic {unknown[0]!r}" if unknown else "no topic is asked for"
+            raise BusError(what, self.address, f"choose from {', '.join(TOPICS)}")
         if not self._max_age_s >= 0:
             raise BusError("the largest age must be 0 s or more", self.address, "give seconds, or None")
         server, pair = None, None

@@ -316,6 +316,10 @@ def test_what_is_no_address_is_refused_at_once(address: str) -> None:
 def test_a_misspelt_topic_is_refused_rather_than_waited_for() -> None:
     with pytest.raises(BusError, match=r"no topic 'tuoch'.*touch, key, health, spectrum"):
         Subscriber(topics=("tuoch",))
+    with pytest.raises(BusError, match=r"no topic is asked for.*touch, key, health, spectrum"):
+        Subscriber(topics=())
+    with Subscriber(topics="touch") as events:
+        assert events.topics == ("touch",)
 
 
 def stamped(seq: int, age_s: float, phase: Phase = "move", device: str = "plate") -> TouchEvent:

@@ -10,6 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 from touchd.config.schema import BaselineSettings
 from touchd.detection.hum import BELOW, Hum
 from touchd.detection.jitter import delay_direction
+from touchd.detection.quiet_frames import LEAST_WINDOWS, SOON_WINDOWS, QuietFrames
 from touchd.frame import Acquisition, Counts
 
 Signal = NDArray[np.floating]
@@ -31,7 +32,8 @@ _USED_TO_S = 10.0
 """What stays loud becomes the usual: e times as much in this time."""
 _STEADY_RATIO = 0.7
 _PATIENCE_WINDOWS = 20
-"""A plate that is never steady is learned as it is after this many windows: a poor baseline is better than none."""
+"""A plate that is never steady, and shows nothing between touches, is learned as it is after this many windows: a poor
+baseline is better than none."""
 _FAR = 0.9
 """Share of the ADC's range: no finger changes the untouched signal by as much as a tenth of it."""
 
@@ -82,8 +84,7 @@ class Baseline:
         self._window: Signal = np.zeros((settings.learn_frames, *shape), dtype)
         self.window = self._window
         """The frames learned from, shape (n, channels, samples)."""
-        self._filled = 0
-        self._tried = 0
+        self._begin()
         self._kept: Signal | None = None
         self._calm_energy = self._noise_energy = 0.0  # of noise: when the mean was learned, and now
 
@@ -100,8 +101,11 @@ class Baseline:
         the noise has gone.
         """
         self._kept = self.mean.copy() if keep_mean else None
-        self._filled = 0
-        self._tried = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._filled = self._tried = 0
+        self._quiet = QuietFrames()
 
     def set_channels(self, live: NDArray[np.bool_]) -> None:
         """Have no residual, and so no drift, in channels that are not live, shape (channels,)."""
@@ -130,12 +134,17 @@ class Baseline:
         energies, self.sound.known = _energies(residuals), False
         if not _steady(residuals, energies) and self.learn_sound(residuals):
             frames, energies = self.mean + residuals, _energies(residuals)
-        if not _steady(residuals, energies) and self._tried < self._patience:
-            half = len(frames) // 2
-            self._window[: len(frames) - half] = self._window[half:].copy()
-            self._filled = len(frames) - half
-            return None
-        self._filled = self._tried = 0
+        if not _steady(residuals, energies):
+            self._quiet.add(frames)
+            waits = self._tried < self._patience
+            quiet = self._quiet.latest(len(frames), SOON_WINDOWS if waits else LEAST_WINDOWS)
+            if quiet is None and waits:
+                half = len(frames) // 2
+                self._window[: len(frames) - half] = self._window[half:].copy()
+                self._filled = len(frames) - half
+                return None
+            frames = frames if quiet is None else quiet
+        self._begin()
         return self.learn_from(frames)
 
     def learn_from(self, frames: Signal) -> NDArray[np.float64]:

@@ -38,6 +38,8 @@ _REST_NS = 300_000_000
 learned under it, and it would end. At most it waits as long again."""
 _LIFTING_FRAMES, _LIFTED_FRAMES = 4, 16
 """What has lifted is gone after 4 frames, and the next 16 tell what it has left: with a sixteenth of one's noise."""
+_PRESSED_NS = 10_000_000_000
+"""They need not be in a row: a key that was held is pressed again before. What it left at most so long ago counts."""
 
 
 class Relearn:
@@ -53,6 +55,7 @@ class Relearn:
         self._product = np.zeros((), dtype)
         self.left: Signal = np.zeros(shape, dtype)
         """What a finger leaves that was part of the baseline and has lifted, shape (channels, samples)."""
+        self._left_frames = self._left_ns = 0  # frames that it is the mean of, and the last one's time
         self.reset()
 
     def configure(self, settings: BaselineSettings) -> None:
@@ -105,8 +108,9 @@ class Relearn:
             self._begin(t_ns, flat, energy)
         if not finger:
             self._compare(t_ns, flat, energy)
-            self._follow_departure(residual, departure)
-        if self._lifted == _LIFTING_FRAMES + _LIFTED_FRAMES:
+            self._follow_departure(t_ns, residual, energy, departure)
+        if self._left_frames == _LIFTED_FRAMES:
+            self._left_frames = 0
             return Reason.LIFTED
         same_ns = t_ns - self._same_since_ns
         if same_ns >= self._absorb_ns:
@@ -126,14 +130,20 @@ class Relearn:
             and self._same_since_ns - since_ns >= _UNSTEADY_NS
         )
 
-    def _follow_departure(self, residual: Signal, departure: bool) -> None:
-        """Average what a finger has left that was part of the baseline."""
+    def _follow_departure(self, t_ns: int, residual: Signal, energy: float, departure: bool) -> None:
+        """Average what a finger has left that was part of the baseline, also beyond presses at its place."""
         self._lifted = self._lifted + 1 if departure else 0
-        frames = self._lifted - _LIFTING_FRAMES
-        if frames == 1:
-            self.left[...] = residual
-        elif frames > 1:
-            self.left += (residual - self.left) / frames
+        first = self._lifted - _LIFTING_FRAMES
+        if first < 1:
+            return
+        if first == 1 and not (
+            0 <= t_ns - self._left_ns < _PRESSED_NS
+            and float(np.square(residual - self.left).sum()) < _SAME_BELOW * energy
+        ):
+            self._left_frames = 0
+            self.left[...] = 0
+        self._left_frames, self._left_ns = self._left_frames + 1, t_ns
+        self.left += (residual - self.left) / self._left_frames
 
     def _begin(self, t_ns: int, flat: Signal, energy: float) -> None:
         self._same_since_ns = t_ns

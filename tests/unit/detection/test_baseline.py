@@ -65,6 +65,18 @@ def test_touched_while_learning() -> None:
     assert np.abs(plate.baseline.mean - MEAN).max() < 10
 
 
+@pytest.mark.parametrize(("on", "off"), [(15, 12), (15, 31), (20, 10)])
+def test_typing_while_learning(on: int, off: int) -> None:
+    """Of a plate that is typed on all the time the frames between touches are learned, within two seconds."""
+    plate, rng = Plate(6), np.random.default_rng(7)
+    touches = rng.standard_normal((40, *SHAPE)) * 150
+    learned = plate.learn([MEAN + touches[i // (on + off)] * (i % (on + off) < on) for i in range(800)])
+    assert learned is not None
+    assert learned[0] < 250
+    assert np.sqrt(np.mean((plate.baseline.mean - MEAN) ** 2)) < 10 / np.sqrt(8)
+    assert learned[1].mean() == pytest.approx(10**2 * MEAN.size, rel=0.1)
+
+
 def test_never_steady() -> None:
     """A plate that never gets steady is learned all the same."""
     assert Plate(4).learn([MEAN * (1 + 1e-3 * i) for i in range(2000)]) is not None

@@ -102,3 +102,27 @@ def test_noise_has_grown() -> None:
 def test_lifted() -> None:
     """A finger that leaves the baseline counts after twenty frames: four in which it lifts, sixteen without it."""
     assert first_reason(still(100), departure=True) == (20, Reason.LIFTED)
+
+
+@pytest.mark.parametrize(("up", "presses"), [(6, 16), (12, 3), (15, 2)])
+def test_lifted_between_presses(up: int, presses: int) -> None:
+    """So does one that presses the same key again before: what it leaves each time is added up."""
+    relearn, residual, reasons = Relearn(SHAPE, BaselineSettings()), still(1)[0], []
+    for frame in range((up + 20) * 17):
+        if frame % (up + 20) < up:
+            t_ns, energy = frame * PERIOD_NS, float(np.square(residual).sum())
+            reasons.append(relearn.update(t_ns, residual, energy, finger=False, departure=True))
+        else:
+            relearn.reset()  # pressed again, the plate is as the baseline has it
+    assert reasons.index(Reason.LIFTED) // up + 1 == presses, "its first frame only begins"
+    assert np.allclose(relearn.left, residual, atol=1)
+
+
+def test_lifted_elsewhere() -> None:
+    """What another finger leaves is no part of it, nor what one has left a minute ago."""
+    relearn, (one, other) = Relearn(SHAPE, BaselineSettings()), changing(2)
+    for start_ns, residual in ((0, one), (10**9, other), (2 * 10**9, one), (60 * 10**9, one)):
+        for k in range(12):
+            energy = float(np.square(residual).sum())
+            assert relearn.update(start_ns + k * PERIOD_NS, residual, energy, finger=False, departure=True) is None
+        relearn.reset()

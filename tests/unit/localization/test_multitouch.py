@@ -73,19 +73,20 @@ def found(fit: Fit, fingers: list[Finger]) -> bool:
     )
 
 
-@pytest.mark.parametrize("frame_ns", [1_000_000, 4_000_000, 32_000_000])
+@pytest.mark.parametrize("frame_ns", [1_000_000, 4_000_000, 8_000_000, 16_000_000, 32_000_000, 800_000_000])
 @pytest.mark.parametrize("known", [0, 1])
 def test_work_of_a_frame(frame_ns: int, known: int) -> None:
     """No frame waits for more look-ups than its time allows, or than any may have; the search ends all the same."""
     rig = Rig()
-    allowed = min(LOOK_UPS_A_SECOND * frame_ns * 1e-9, MOST_LOOK_UPS)
+    most = MOST_LOOK_UPS * max(min(frame_ns, 50_000_000) / 10_000_000, 1)
+    allowed = min(LOOK_UPS_A_SECOND * frame_ns * 1e-9, most)
     for seed in range(1, 200):
         fit = rig.look(FOUR, known, frame_ns, seed)
-        first = MOST_LOOK_UPS if seed == 1 and not known else 0
+        first = most if seed == 1 and not known else 0
         assert rig.solver.look_ups <= max(allowed, first) + LARGEST
         if not rig.search.pending:
             break
-    assert seed > 1
+    assert seed > 1 or frame_ns > 8_000_000
     assert found(fit, FOUR)
 
 

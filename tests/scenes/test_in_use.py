@@ -1,0 +1,96 @@
+"""What befalls a plate while fingers are on it: a reload, a device that was away, frames that come seldom."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from tests.scenes.stages import RATE_HZ, empty_stage, play, score, shipped
+from touchd.config.schema import Settings
+from touchd.event import Contact
+from touchd.frame import Frame
+from touchd.pipeline import Pipeline
+from touchd.twin.instrument import Instrument
+from touchd.twin.scenes.catalogue import stage_scene
+from touchd.twin.scenes.timeline import Stage, still
+from touchd.twin.simulate import DEFAULT_PLATE, stream
+
+
+def contacts_of(
+    stage: Stage, instrument: Instrument, befalls: Callable[[Pipeline, int], object] = lambda _pipeline, _frame: None
+) -> Iterator[tuple[int, Contact]]:
+    """The contacts of all frames, before each of which something may befall the pipeline."""
+    pipeline, number = Pipeline(instrument.acquisition, shipped(atlas=True), Settings()), 0
+    for block in stream(stage, instrument, 1):
+        for counts in block:
+            befalls(pipeline, number)
+            for contact in pipeline.process(Frame(counts, number, round(stage.time_s[number] * 1e9), 0)).contacts:
+                yield number, contact
+            number += 1
+
+
+@pytest.mark.parametrize("name", ["pinch", "five"])
+def test_reload(name: str, instrument: Instrument) -> None:
+    """A configuration read again under fingers, four times a second, changes nothing.
+
+    Two or more fingers once went up as a palm's, and came down again.
+    """
+    stage = stage_scene(name, DEFAULT_PLATE, seed=3000900, frames=450)
+    plain, reloaded = (
+        [
+            (frame, one.id, one.phase, one.kind)
+            for frame, one in contacts_of(stage, instrument, befalls)
+            if one.phase in "down up"
+        ]
+        for befalls in (
+            lambda _pipeline, _frame: None,
+            lambda pipeline, frame: frame % 31 or pipeline.configure(Settings(), None),
+        )
+    )
+    assert plain
+    assert reloaded == plain
+
+
+@pytest.mark.parametrize(("rate_hz", "seed"), [(60.0, 3000901), (60.0, 3000902), (40.0, 3000903)])
+def test_five_fingers_in_frames_that_come_seldom(rate_hz: float, seed: int, instrument: Instrument) -> None:
+    """At 60 Hz one in ten was missed, and as many went up as a palm's, while the search took as many frames as ever."""
+    stage = stage_scene("five", DEFAULT_PLATE, seed=seed, frames=round(8 * rate_hz), rate_hz=rate_hz)
+    outcome = play(stage, instrument)
+    found = score(stage, outcome)
+    assert found.touches > 20
+    assert (found.missed, found.ghosts) == (0, 0)
+    assert "palm" not in [one.kind for message in outcome.touches for one in message.contacts if one.phase == "up"]
+
+
+@pytest.mark.parametrize("pause_s", [0.1, 0.3])
+def test_a_device_comes_back_while_somebody_types(pause_s: float, instrument: Instrument) -> None:
+    """Two seconds later keys are found, though nobody pauses for long; they once were not until somebody did."""
+    stage, starts_s = empty_stage(9.0, seed=3000904), np.arange(1.0, 8.6, 0.12 + pause_s).tolist()
+    for start_s in starts_s:
+        stage.lay("fingertip", start_s, start_s + 0.12, still(*stage.rng.uniform(20, 180, 2).tolist()), force_n=0.4)
+    away = round(2.0 * RATE_HZ)
+    found = contacts_of(stage, instrument, lambda pipeline, frame: pipeline.reset() if frame == away else None)
+    downs_s = [frame / RATE_HZ for frame, one in found if one.phase == "down"]
+    late = [start_s for start_s in starts_s if start_s > 4.1]
+    assert len(late) > 9
+    assert all(any(0 <= down_s - start_s < 0.15 for down_s in downs_s) for start_s in late)
+    assert len(downs_s) <= len(starts_s)
+
+
+@pytest.mark.parametrize(("rate_hz", "pause_s"), [(125.0, 0.1), (50.0, 0.3)])
+def test_the_key_that_was_held_is_pressed_again(rate_hz: float, pause_s: float, instrument: Instrument) -> None:
+    """A finger that is there at the start, and then types at its place, is found from its second or third press on.
+
+    While it stayed up for less than twenty frames it once was not at all.
+    """
+    stage = empty_stage(7.0, seed=3000905, rate_hz=rate_hz)
+    place_mm, starts_s = (70.0, 110.0), np.arange(2.0 + pause_s, 6.5, 0.2 + pause_s).tolist()
+    stage.lay("fingertip", -1.0, 2.0, still(*place_mm), force_n=0.5)
+    for start_s in starts_s:
+        stage.lay("fingertip", start_s, start_s + 0.2, still(*place_mm), force_n=0.5)
+    downs = [(frame / rate_hz, one) for frame, one in contacts_of(stage, instrument) if one.phase == "down"]
+    assert len(starts_s) - 3 <= len(downs) <= len(starts_s)
+    assert all(math.dist((one.x_mm, one.y_mm), place_mm) < 2 for _, one in downs)
