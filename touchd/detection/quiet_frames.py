@@ -15,6 +15,8 @@ _LEAST_SHARE = 4
 """A quarter of a window's frames are alike at least, ..."""
 _ALIKE = 1.5
 """... and differ by at most this much more energy than those nearest to each other. Of noise it hardly varies."""
+_KEPT = 64
+"""Of each group at most so many frames are kept."""
 SOON_WINDOWS, LEAST_WINDOWS = 6, 3
 """So many windows have them in common; the fewer where nothing better is to be had."""
 
@@ -56,7 +58,7 @@ def _alike(frames: Frames) -> list[Frames]:
         if nearest > most:
             break
         near, most = there[middle] <= _ALIKE * nearest, min(most, _ALIKE * nearest)
-        groups.append(frames[left[near]])
+        groups.append(frames[left[near]][:_KEPT])
         left = left[~near]
     return groups
 
