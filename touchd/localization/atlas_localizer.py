@@ -154,7 +154,7 @@ class AtlasLocalizer:
         """Use the frame's live channels, and no bin beside its tones; take its time."""
         if self._plate.listen(detection):
             self._still.reset()
-        self._search.update(detection.t_ns, rings=detection.rings)
+        self._search.update(detection.t_ns, detection.period_ns, rings=detection.rings)
 
     def _localization(
         self, detection: Detection, begun: Fitted | None, *, alive: bool = True, complete: bool = False

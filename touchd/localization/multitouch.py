@@ -67,6 +67,7 @@ class MultitouchSearch:
         """Tells fingers that a fit lacks, and those that are none."""
         self._t_ns = self._before_ns = 0  # of the last frame and the one before
         self._spent = 0.0  # by the solver before this frame
+        self._most = MOST_LOOK_UPS  # in a frame
         self._silent_ns = self._waiting_ns = 0  # when the last knock has faded; since when fingers wait
         self._rang = False  # whether they wait since a knock
         self.reset()
@@ -102,8 +103,8 @@ class MultitouchSearch:
         """End the search that goes on, if any: the fingers that it began with have changed."""
         self._running = None
 
-    def update(self, t_ns: int, *, rings: bool = False) -> None:
-        """Take the time of a touched frame: a search may use what has passed since the last one.
+    def update(self, t_ns: int, period_ns: int, *, rings: bool = False) -> None:
+        """Take a touched frame's time, and that from frame to frame: a search may use what has passed since the last.
 
         One that began while the plate `rings` from a knock, or soon after, finds what it sounds like: once the plate is
         silent another one begins.
@@ -118,6 +119,7 @@ class MultitouchSearch:
         if t_ns == self._t_ns:
             return  # the frame is known already
         self._before_ns, self._t_ns, self._spent = self._t_ns, t_ns, self._solver.spent
+        self._most = MOST_LOOK_UPS * max(min(period_ns * 1e-9, _LONGEST_S) / _USUAL_S, 1.0)
 
     def is_due(self, excess: float, signal: float) -> bool:
         """Return whether to search in this frame, whose fit leaves the share `excess` of the signal's energy."""
@@ -221,8 +223,7 @@ class MultitouchSearch:
     def _allowance(self, fit: Fit, *, landing: bool) -> float:
         """Return how many look-ups the search may take in this frame; what was fitted in it has taken some of them."""
         elapsed_s = max(self._t_ns - self._before_ns, 0) * 1e-9
-        at_most = MOST_LOOK_UPS * max(min(elapsed_s, _LONGEST_S) / _USUAL_S, 1.0)
-        most = at_most if landing else min(LOOK_UPS_A_SECOND * elapsed_s, at_most)
+        most = self._most if landing else min(LOOK_UPS_A_SECOND * elapsed_s, self._most)
         fitted = _FOLLOW_LOOK_UPS * len(fit.positions_mm) if fit.fisher_information else 0.0
         if self.doubts and not self._tracked:
             fitted = _LANDING_LOOK_UPS

@@ -49,13 +49,16 @@ class Rig:
         self.noise.set_channels(np.ones(4, bool), np.zeros((0, ATLAS.size), np.float32))
         self.search = MultitouchSearch(SOLVER, Pursuit(ATLAS, self.solver), self.noise, WeightedFit(ATLAS))
 
-    def see(self, features: np.ndarray, known: Sequence[Finger], after_ns: int, *, limited: bool = True) -> Fit | None:
+    def see(
+        self, features: np.ndarray, known: Sequence[Finger], after_ns: int, *, limited: bool = True,
+        period_ns: int | None = None,
+    ) -> Fit | None:  # fmt: skip
         """One frame in which some fingers are tracked; what is found, None if no search was due."""
         bins = bins_of(features)
         signal = bins.energy - self.noise.noise_energy
         fit = SOLVER.fit_several(bins, [finger[:2] for finger in known], 3) if known else no_fit(bins.energy)
         self.solver.look_ups, self.t_ns = 0, self.t_ns + after_ns
-        self.search.update(self.t_ns)
+        self.search.update(self.t_ns, after_ns if period_ns is None else period_ns)
         if not self.search.is_due(self.noise.excess(fit.residual_energy, signal), signal):
             return None
         return self.search.search(bins, fit, signal, tracked=bool(known), limited=limited)[0]
@@ -65,6 +68,13 @@ class Rig:
         found = self.see(features, fingers[:known], after_ns, limited=limited)
         assert found is not None
         return found
+
+
+def test_work_of_a_touch_after_a_pause() -> None:
+    """However long the plate was untouched, a frame that shows a touch waits no longer than others at its rate."""
+    rig = Rig()
+    rig.see(FIELD.frame(FOUR, DEVIATION, 1), (), 10**10, period_ns=8_000_000)
+    assert rig.solver.look_ups <= MOST_LOOK_UPS + LARGEST
 
 
 def found(fit: Fit, fingers: list[Finger]) -> bool:
