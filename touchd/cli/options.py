@@ -104,6 +104,8 @@ def chosen(options: dict[str, Any]) -> SourceChoice:
     choice = SourceChoice(**options)
     if choice.is_device and (choice.speed != 1 or choice.loop or choice.seed):
         raise click.UsageError("--speed, --loop and --seed apply to a recording or scene: --replay, --simulate")
+    if choice.replay is not None and choice.seed:
+        raise click.UsageError("--seed applies to a scene: --simulate")
     return choice
 
 

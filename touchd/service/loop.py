@@ -11,6 +11,8 @@ from touchd import __version__
 from touchd.config.schema import Settings
 from touchd.event import Event, State
 from touchd.frame import Frame
+from touchd.keypad import Layout
+from touchd.localization.model import Model
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline, Result
 from touchd.service.control import Control
@@ -80,6 +82,7 @@ class Service:
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
         self._away = False
+        self._described: tuple[Model | None, Layout | None] | None = None
         self.stopped = False
         """Whether `stop` was called."""
         self._reload_asked = False
@@ -265,6 +268,8 @@ class Service:
         self._health.log_losses(event)
 
     def _publish_plate(self) -> None:
-        if self._feed is not None:
-            now_ns = self._clock()
+        """Describe the plate to subscribers, unless model and keys are as they were described."""
+        described = (self.pipeline.model, self.pipeline.layout)
+        if self._feed is not None and described != self._described:
+            self._described, now_ns = described, self._clock()
             self._hand(self._messages.plate(self._feed.describe(), self.pipeline.layout, now_ns), now_ns)

@@ -38,8 +38,9 @@ class Intake:
     def number(self, sequence: int, corrupt: int) -> tuple[int, int]:
         """Return a frame's number, and how many frames were lost before it.
 
-        `sequence` is the device's number. One that is not new is returned as it is: the pipeline tells a repetition
-        from a device that restarts. Of the `corrupt` frames so far, those since the last frame are not lost.
+        `sequence` is the device's number. One that is not new is returned as it is, but never below 0: the pipeline
+        tells a repetition from a device that restarts. Of the `corrupt` frames so far, those since the last frame are
+        not lost.
         """
         step, lost = 1, 0
         if self._number is None:
@@ -48,7 +49,7 @@ class Intake:
             step = sequence - self._sequence
             lost = max(0, step - 1 - (corrupt - self._corrupt_before))
         self._sequence, self._corrupt_before = sequence, corrupt
-        self._number += step
+        self._number = max(0, self._number + step)
         return self._number, lost
 
     def count_corrupt(self, daq: Daq) -> None:

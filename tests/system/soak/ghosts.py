@@ -322,6 +322,8 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, help="processes; by default one for each core")
     parser.add_argument("--network", action="store_true", help="without the field atlas")
     arguments = parser.parse_args()
+    if unknown := set(arguments.scenes) - set(SCENES):
+        parser.error(f"there is no scene {unknown.pop()!r}; choose from {', '.join(SCENES)}")
     pieces = {
         name: [
             {"name": name, "seed": arguments.seed + i, "atlas": not arguments.network}

@@ -232,6 +232,20 @@ def test_notes_that_no_file_holds(original: Path, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [original]
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("--seed", 3), "--speed, --loop and --seed apply to"),
+        (("--replay", "a.npz", "--seed", 3), "--seed applies to a"),
+    ],
+)
+def test_an_option_without_effect(tmp_path: Path, given: tuple[object, ...], said: str) -> None:
+    """An option that the source does not have is refused, and the message says which source has it."""
+    result = record(*given, "-o", tmp_path / "b.npz")
+    assert result.exit_code == 2
+    assert said in result.output
+
+
 @pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])
 def test_seconds_that_are_no_time(original: Path, tmp_path: Path, seconds: str) -> None:
     """A time that never comes is wrong use."""

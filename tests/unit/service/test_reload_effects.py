@@ -14,11 +14,13 @@ from tests.unit.service.bench import PERIOD_NS, Clock, Keeper, Script
 from touchd.config.render import fields
 from touchd.config.schema import Settings
 from touchd.errors import ConfigError
+from touchd.event import PlateEvent
 from touchd.frame import Frame
 from touchd.keypad import PHONE
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
+from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.loop import Service
 from touchd.service.preroll import PreRoll
 from touchd.service.reload import BRIDGES, RESTART_ONLY
@@ -196,6 +198,22 @@ def test_answer(scene: Scene, model: Model) -> None:
     source = Timed(recording, steps, clock, calls={10: ask, 30: ask})
     Service(source, [Keeper(clock)], Settings(), pipeline, clock=clock, control=control, read_settings=read).run()
     assert control.answers == [("", model.path), ("health.period_s: is no number -> correct it", model.path)]
+
+
+def test_plate_is_described_when_it_changes(scene: Scene, model: Model) -> None:
+    """Subscribers read the plate at the start and with new keys; a reload that changes nothing repeats nothing."""
+    recording, clock, control = scene("idle"), Clock(), Commands()
+    steps = [Frame(counts, i, 0, 0) for i, counts in enumerate(recording.frames[:60])]
+    ask: list[Callable[[], object]] = [lambda: control.queue.append("reload")]
+    read = iter([Settings(), Settings.model_validate({"keypad": {"layout": PHONE}})])
+    pipeline = Pipeline(recording.acquisition, model, Settings())
+    source, sink = Timed(recording, steps, clock, calls={10: ask, 30: ask}), Keeper(clock)
+    feed = FrameFeed(lambda: FeedDescription(acquisition=recording.acquisition, rate_hz=125, source="usb"))
+    Service(
+        source, [sink], Settings(), pipeline, clock=clock, control=control, read_settings=lambda: next(read), feed=feed
+    ).run()
+    plates = [event for event in sink.events if isinstance(event, PlateEvent)]
+    assert [len(plate.keys) for plate in plates] == [0, 12]
 
 
 def test_every_taken_key_has_a_case() -> None:

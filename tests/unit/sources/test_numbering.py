@@ -31,3 +31,11 @@ def test_a_number_that_is_not_new_is_returned_as_it_is() -> None:
     """The pipeline tells a repetition from a device that restarts."""
     intake = Intake(125)
     assert [intake.number(n, 0) for n in (5, 6, 6, 2, 7)] == [(5, 0), (6, 0), (6, 0), (2, 0), (7, 4)]
+
+
+def test_no_number_is_negative() -> None:
+    """A device that counts from a high number after it was plugged in, and then restarts, has its frames counted on."""
+    intake = Intake(125)
+    intake.number(100, 0)
+    intake.restart()
+    assert [intake.number(n, 0)[0] for n in (1_000_000, 1_000_001, 0, 1)] == [101, 102, 0, 1]
