@@ -80,6 +80,32 @@ def test_a_device_comes_back_while_somebody_types(pause_s: float, instrument: In
     assert len(downs_s) <= len(starts_s)
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "apart_mm", "pause_s"),
+    [(125.0, 16.0, -0.012), (125.0, 20.0, -0.024), (125.0, 20.0, 0.0), (125.0, 24.0, 0.012), (60.0, 20.0, 0.016)],
+)
+def test_two_fingers_type_at_neighbouring_keys(
+    rate_hz: float, apart_mm: float, pause_s: float, instrument: Instrument
+) -> None:
+    """Each press is a contact, also where the next finger lands as the last one lifts, a little before or after.
+
+    The contact of the last key once moved to the next one.
+    """
+    stage = empty_stage(7.0, seed=3201000, rate_hz=rate_hz)
+    start_s, press, rng = 1.0, 0, stage.rng
+    keys_mm = np.array([rng.uniform(60, 140, 2), [0, 0]])
+    keys_mm[1] = keys_mm[0] + apart_mm * np.array([math.cos(angle := rng.uniform(0, 6.28)), math.sin(angle)])
+    while start_s < 6.4:
+        end_s = start_s + rng.uniform(0.09, 0.16)
+        place_mm = keys_mm[press % 2] + rng.uniform(-0.5, 0.5, 2)
+        stage.lay("fingertip", start_s, end_s, still(*place_mm.tolist()), force_n=0.5, column=press % 2)
+        start_s, press = end_s + pause_s + rng.uniform(-0.004, 0.004), press + 1
+    found = score(stage, play(stage, instrument))
+    assert found.touches > 30
+    assert found.missed <= 0.04 * found.touches
+    assert found.split + found.ghosts == 0
+
+
 @pytest.mark.parametrize(("rate_hz", "pause_s"), [(125.0, 0.1), (50.0, 0.3)])
 def test_the_key_that_was_held_is_pressed_again(rate_hz: float, pause_s: float, instrument: Instrument) -> None:
     """A finger that is there at the start, and then types at its place, is found from its second or third press on.

@@ -18,6 +18,10 @@ _NEVER = 1e9  # mm: finite, as the assignment asks
 _GOING, _LONGEST_S = 0.25, 0.1
 """A finger is looked for where it was, and where it was going, at this price for the way there, in mm per mm: else one
 that lifts as it comes near another takes that one's place. It is predicted so far ahead at most."""
+_LEAP_MM, _LEAP_S, _LEAP_MM_S2 = 10.0, 4.0, 50_000.0
+"""From one frame to the next a finger's place changes by no more than this, its speed for so many frames, and what
+hardly a hand accelerates by: beyond, another finger has landed as this one lifted. In its first frames no speed is
+known."""
 _RELEASE_FRAMES = 2
 _SURE_CONFIDENCE, _SURE_SIGMA_MM = 0.99, 0.3
 """One frame is enough for a lone finger surer than this. Of fingertips, 96 in 100 are in the first frame that shows
@@ -109,7 +113,7 @@ class Tracker:
         if same and self._settled and 0 <= t_ns - self._reported_ns <= _REFRESH_NS - elapsed_ns:
             return []
         elapsed_s = elapsed_ns * 1e-9
-        if len(self.tracks) == len(touches) == 1 and self._cost(self.tracks[0], touches[0]) < _NEVER:
+        if len(self.tracks) == len(touches) == 1 and self._cost(self.tracks[0], touches[0], elapsed_s) < _NEVER:
             # One finger and one touch within its reach: there is nothing to choose.
             due = self._advance(self.tracks[0], touches[0], elapsed_s)
             self._settled = same and not due and self.tracks[0].has_settled(touches[0])
@@ -160,12 +164,16 @@ class Tracker:
         columns = assign([row + alone for row in costs])
         return [touches[j] if j < len(touches) else None for j in columns]
 
-    def _cost(self, track: Track, touch: Touch, elapsed_s: float = 0.0) -> float:
+    def _cost(self, track: Track, touch: Touch, elapsed_s: float) -> float:
         at = track.filter
         x_mm, y_mm = touch.x_mm - at.x_mm, touch.y_mm - at.y_mm
         distance_mm = hypot(x_mm, y_mm)
         if distance_mm > self._reach_mm:
             return _NEVER
+        if distance_mm > _LEAP_MM and track.contact is not None and track.contact.phase != "down":
+            frames_mm = (_LEAP_S * hypot(at.vx_mm_s, at.vy_mm_s) + 0.5 * _LEAP_MM_S2 * elapsed_s) * elapsed_s
+            if distance_mm > _LEAP_MM + frames_mm:
+                return _NEVER
         ahead_s = min(elapsed_s * (1 + track.missing), _LONGEST_S)
         off_mm = hypot(x_mm - at.vx_mm_s * ahead_s, y_mm - at.vy_mm_s * ahead_s)
         return min(distance_mm, off_mm + _GOING * distance_mm)

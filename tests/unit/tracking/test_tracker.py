@@ -21,6 +21,9 @@ PERIOD_NS = 8_000_000
 SETTINGS = TrackerSettings()
 
 
+SURE = Touch(50, 60, 0.1, 0.995, 0.3)
+
+
 def at(x_mm: float, y_mm: float) -> Touch:
     return Touch(x_mm, y_mm, 0.5, 0.99, 0.3)
 
@@ -57,7 +60,42 @@ def test_down_and_up() -> None:
     assert not stroke.tracker.alive
 
 
-SURE = Touch(50, 60, 0.1, 0.995, 0.3)
+@pytest.mark.parametrize("lifted_frames", [0, 1])
+def test_another_finger_lands_as_one_lifts(lifted_frames: int) -> None:
+    """Typed keys that roll into one another are two contacts: a finger at rest does not leap to the next key.
+
+    The key was lost, as its contact went on with the id of the one before and without a `down`.
+    """
+    stroke = Stroke()
+    stroke.feed(SURE, frames=12)
+    stroke.feed(frames=lifted_frames)
+    stroke.feed(replace(SURE, x_mm=66), frames=4)
+    assert stroke.phases(1)[-1] == "up"
+    assert stroke.phases(2)[0] == "down"
+
+
+@pytest.mark.parametrize(
+    ("speed_mm_s", "acceleration_mm_s2"), [(2000.0, 0.0), (-1500.0, 20_000.0), (0.0, 50_000.0), (1000.0, -30_000.0)]
+)
+def test_a_quick_finger_is_one_contact(speed_mm_s: float, acceleration_mm_s2: float) -> None:
+    """A finger that lands at 2 m/s, flicks from rest at five times gravity, or turns about, stays the same."""
+    stroke = Stroke()
+    if speed_mm_s == 0:
+        stroke.feed(SURE, frames=12)
+    for t_s in np.arange(10) * 0.008:
+        stroke.feed(replace(SURE, x_mm=50 + speed_mm_s * t_s + acceleration_mm_s2 * t_s**2 / 2))
+    assert {c.id for report in stroke.reports for c in report} == {1}
+    assert "up" not in stroke.phases()
+
+
+def test_a_finger_may_be_elsewhere_after_lost_frames() -> None:
+    """After a fifth of a second without a frame one within the reach is the same."""
+    stroke = Stroke()
+    stroke.feed(SURE, frames=12)
+    stroke.t_ns += 200_000_000
+    stroke.feed(replace(SURE, x_mm=70), frames=4)
+    assert "up" not in stroke.phases()
+    assert not stroke.phases(2)
 
 
 def test_sure_finger() -> None:
