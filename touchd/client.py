@@ -140,6 +140,7 @@ class Subscriber(Generic[E]):
         self._socket = self._context.socket(zmq.SUB)
         self._reconnect: Reconnect | None = None
         self._waits_s = math.inf  # in a call that receives
+        self._lifts = False  # what was returned last was a silent device's: it may have more
         self._process = os.getpid()
         self._lock = threading.RLock()  # a signal's handler may close while its thread receives
         self._receiving = self._closed = False
@@ -226,10 +227,13 @@ class Subscriber(Generic[E]):
         while drained < _MOST_DRAINED or (left_s > 0 and not self._waiting):
             if self._closed:
                 raise BusError("the subscription is closed", self.address, "make another Subscriber")
-            parts = self._received(0.0 if self._waiting else min(left_s, _LOOK_S))
+            parts = self._received(0.0 if self._waiting or self._lifts else min(left_s, _LOOK_S))
             if parts is None:
-                new = self._lifted()
-                if new is None and (self._waiting or left_s <= 0):
+                # Nothing is touched, or a key is released, on a device whose touches fell silent.
+                silent = (stream.lift_silent() for stream in self._streams.values())
+                new, lifted = next((event for event in silent if event is not None), None), self._lifts
+                self._lifts = new is not None
+                if new is None and not lifted and (self._waiting or left_s <= 0):
                     break
             else:
                 event = decode_message(parts, self.address)
@@ -248,10 +252,6 @@ class Subscriber(Generic[E]):
             "check that the daemon runs, that bus.bind has this address"
             + (", and that it knows both keys" if self._keyed else ", and whether it asks for keys"),
         )
-
-    def _lifted(self) -> Event | None:
-        """Return that nothing is touched, or a key's release, of a device whose touches fell silent."""
-        return next((lifted for stream in self._streams.values() if (lifted := stream.lift_silent()) is not None), None)
 
     def _connect(self, address: str) -> None:
         if address.startswith("tcp://"):

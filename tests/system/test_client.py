@@ -386,6 +386,27 @@ def test_keys_of_a_daemon_that_is_gone(
             events.receive(0)
 
 
+def test_all_keys_of_a_daemon_that_is_gone_are_released_at_once(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the releases of several keys and the event without contacts nothing is waited for."""
+    with Subscriber(wire.address, ("key", "touch"), timeout_s=60) as events:
+        wire.wait()
+        wire.wait()
+        down = stamped(1, 0, "down")
+        wire.send(down, *(replace(pressed(down, key=str(key)), seq=key) for key in (1, 2, 3)))
+        assert [next(events).type for _ in range(4)] == ["touch", "key", "key", "key"]
+        waits_s, received = list[float](), events._received
+
+        def receive(wait_s: float) -> list[bytes] | None:
+            waits_s.append(wait_s)
+            return received(wait_s)
+
+        monkeypatch.setattr(events, "_received", receive)
+        monkeypatch.setattr(stream, "SILENCE_NS", 0)
+        released = [next(events) for _ in range(4)]
+        assert [event.type for event in released] == ["key", "key", "key", "touch"]
+        assert waits_s[1:] == [0.0] * (len(waits_s) - 1)
+
+
 def test_a_program_that_asks_for_keys_alone_gets_keys_alone(wire: Wire) -> None:
     """The touches that tell it of the daemon's silence stay out."""
     with Subscriber(wire.address, ("key",), timeout_s=60) as events:

@@ -10,6 +10,7 @@ from touchd.cli.options import config_option
 from touchd.config.load import Retired, load
 from touchd.config.render import render
 from touchd.config.schema import Settings
+from touchd.sinks.endpoint import refuse_insecure
 
 
 @click.command()
@@ -23,6 +24,7 @@ def command(config: Path | None, default: bool) -> None:
     gets a warning.
     """
     settings = Settings() if default else load(config, retired=_warn)
+    refuse_insecure(settings.bus)
     if settings.keypad.layout is not None:
         # Late: the keys must lie on the plate that the model knows, and a model takes a moment to load.
         from touchd.service.models import layout_of, load_model

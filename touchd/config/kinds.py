@@ -47,6 +47,13 @@ def refuse_key(path: Path | None) -> Path | None:
     return path
 
 
+def _from_hexadecimal(value: Any) -> Any:
+    # A variable's text; in TOML 0x1209 is a number.
+    return int(value, 16) if isinstance(value, str) and re.fullmatch("0[xX][0-9a-fA-F]{1,8}", value) else value
+
+
+UsbId = Annotated[int, BeforeValidator(_from_hexadecimal), Field(ge=0, le=0xFFFF)]
+"""A vendor or product, as USB counts them."""
 OptionalPath = Annotated[Path | None, BeforeValidator(_empty_is_unset), AfterValidator(_is_nameable)]
 """A path, or None; an empty text means None."""
 Group = Annotated[str, AfterValidator(_is_nameable)]

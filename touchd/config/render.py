@@ -51,7 +51,7 @@ def expected(field: FieldInfo) -> str:
     limits: dict[type, Any] = {type(limit): limit for limit in field.metadata}
     low, above = limits.get(annotated_types.Ge), limits.get(annotated_types.Gt)
     high, below = limits.get(annotated_types.Le), limits.get(annotated_types.Lt)
-    length = limits.get(annotated_types.MinLen)
+    length, multiple = limits.get(annotated_types.MinLen), limits.get(annotated_types.MultipleOf)
     words = []
     if low and high:
         words.append(f"{low.ge:g} to {high.le:g}")
@@ -63,6 +63,8 @@ def expected(field: FieldInfo) -> str:
         words.append(f"above {above.gt:g}")
     if below:
         words.append(f"below {below.lt:g}")
+    if multiple:
+        words.append(f"a multiple of {multiple.multiple_of:g}")
     if length:
         words.append("not empty")
     return f"{kind}, {' and '.join(words)}" if words else kind

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 
-from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Section, refuse_key
+from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Section, UsbId, refuse_key
 from touchd.config.rigs import AudioSettings, NiSettings
 
 Place = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
@@ -20,8 +20,8 @@ class DeviceSettings(Section):
     """The DAQ."""
 
     name: str = Field("touchd", description="`device` in every message: tells plates apart.", min_length=1)
-    vendor_id: int = Field(0x1209, ge=0, le=0xFFFF, description="USB vendor id.")
-    product_id: int = Field(0x0001, ge=0, le=0xFFFF, description="USB product id.")
+    vendor_id: UsbId = Field(0x1209, description="USB vendor id.")
+    product_id: UsbId = Field(0x0001, description="USB product id.")
     serial: str = Field("", description="USB serial number; empty: any.")
     rate_hz: int = Field(
         125, ge=1, le=65535, description="Frames a second; unset, an audio interface takes the nearest that whole "
@@ -31,7 +31,7 @@ class DeviceSettings(Section):
         50,
         ge=1,
         le=65535,
-        description="The same of an untouched plate, if the device can change it; not above `rate_hz`.",
+        description="The same of an untouched plate, if the device can change it; more than `rate_hz` is `rate_hz`.",
     )
     stall_s: float = Field(
         1.0, ge=0.05, le=10, description="After this time without a frame, s, contacts lift and the stream restarts."
@@ -102,7 +102,9 @@ class TrackerSettings(Section):
         le=100,
         description="Frames in a row before a contact is `down`; with 1 or 2, a sure lone finger needs one.",
     )
-    reach_mm: float = Field(25.0, ge=0.1, le=1000, description="Farthest that a contact moves between frames, mm.")
+    reach_mm: float = Field(
+        25.0, ge=0.1, le=1000, description="Farthest that a contact moves between frames, mm; one at rest, less."
+    )
     dead_band_mm: float = Field(
         0.1, ge=0, le=1000, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
     )
@@ -186,6 +188,14 @@ class TuioSettings(Section):
 
     to: str = Field("127.0.0.1:3333", description="HOST:PORT, UDP.", min_length=1)
     insecure: bool = Field(False, description="Allow an address beyond loopback, unencrypted.")
+
+    @field_validator("to")
+    @classmethod
+    def _has_a_port(cls, to: str) -> str:
+        host, _, port = to.rpartition(":")
+        if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+            raise ValueError("must be HOST:PORT, for example 127.0.0.1:3333")
+        return to
 
 
 class ControlSettings(Section):

@@ -12,6 +12,7 @@ import structlog
 from touchd.config.render import fields
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch, TouchdError
+from touchd.files import stamps_of
 from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
@@ -74,6 +75,8 @@ class Reloader:
         self.settings = settings
         """Those in use."""
         self._read = read
+        self._key_files = [path for path in [settings.bus.curve_secret_key] if path is not None]
+        self._key_stamps = stamps_of(*self._key_files)
         self._pipeline, self._messages, self._health, self._preroll = pipeline, messages, health, preroll
 
     def reload(self) -> str:
@@ -91,8 +94,11 @@ class Reloader:
             log.error("the configuration is wrong, the old one stays in use", error=wrong, exc_info=not expected)
             return wrong
         log.info("configuration read again", taken=changes.taken)
-        if changes.waiting:
-            log.warning("settings that wait for a restart", waiting=changes.waiting)
+        waiting = set(changes.waiting)
+        if stamps_of(*self._key_files) != self._key_stamps:  # another key under the same name
+            waiting.add("bus.curve_secret_key")
+        if waiting:
+            log.warning("settings that wait for a restart", waiting=sorted(waiting))
         return ""
 
     def _take(self, new: Settings) -> None:

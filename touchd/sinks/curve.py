@@ -117,6 +117,9 @@ class ClientKeys:
                 found = {entry.name: _signature(entry) for entry in entries if entry.name.endswith(".key")}
         except (FileNotFoundError, NotADirectoryError):
             found = {}
+            if self._files:
+                self._log.error("the folder of the clients' keys is gone, nobody may subscribe",
+                                folder=str(self._folder))  # fmt: skip
         except OSError as error:
             if self.current:
                 self._log.error("the clients' keys cannot be looked at, those known stay in force",

@@ -65,8 +65,14 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def refuse_insecure(address: str) -> None:
-    """Raise InsecureBind if the network, or every local user, can reach an address."""
+def refuse_insecure(settings: BusSettings) -> None:
+    """Raise InsecureBind if the network, or every local user, can reach an address without keys."""
+    if settings.curve_secret_key is None and not settings.insecure:
+        for address in settings.bind:
+            _refuse_reachable(address)
+
+
+def _refuse_reachable(address: str) -> None:
     if is_file(address):
         if address.startswith("ipc://@"):
             raise InsecureBind(

@@ -35,6 +35,9 @@ STALLED_S = 10.0
 """A connection whose peer has read nothing for this time is cut off: what waits for it is stale, and takes memory."""
 WITHDRAWN_S = 10.0
 """A connection is cut off once its client's key has been missing for this time: a folder may be rewritten."""
+UNSUBSCRIBED_S = 60.0
+"""A connection is cut off if it has not subscribed to anything by then: libzmq waits for ever for some that speak no
+ZMTP. A subscriber's own connects again."""
 _LOOK_S = 1.0
 _SHARE = 0.25  # of the time since the last poll: a flood of connections must not delay a frame
 _MOST_EVENTS = 64  # read at once, after a pause
@@ -118,6 +121,9 @@ class Peers:
             self._looked_s = now_s
             self._arrivals.look()
             for peer in list(self._peers.values()):
+                if not peer.subscribed and now_s - peer.since_s >= UNSUBSCRIBED_S:
+                    self._cut(peer, f"it has subscribed to nothing for {UNSUBSCRIBED_S:g} s")
+                    continue
                 self._judge_backlog(peer, now_s)
                 if not peer.key or self.admits(peer.key):
                     peer.known_s = now_s

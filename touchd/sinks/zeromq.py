@@ -42,6 +42,7 @@ class ZeromqSink:
 
     def __init__(self, settings: BusSettings, clock: Callable[[], int] = time.monotonic_ns) -> None:
         settings = endpoint.effective(settings)
+        endpoint.refuse_insecure(settings)
         self._clock = clock
         self._open = True
         self._last: dict[str, Event | bytes] = {}
@@ -149,9 +150,6 @@ class ZeromqSink:
     def _bind_all(self, settings: BusSettings) -> tuple[str, ...]:
         """Bind every address. Return the bound addresses in the order of the settings."""
         secret_key = settings.curve_secret_key
-        if secret_key is None and not settings.insecure:
-            for address in settings.bind:
-                endpoint.refuse_insecure(address)
         bound = dict.fromkeys(range(len(settings.bind)), "")
         # A listener copies the socket's options when it is bound: files come first, and keys concern TCP alone.
         for index, address in enumerate(settings.bind):

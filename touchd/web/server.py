@@ -152,6 +152,9 @@ async def _left(_request: Request, _error: Exception) -> Response:
     return Response(status_code=400)
 
 
+_NO_TEXT = "Invalid UTF-8 sequence received from client."  # an error to uvicorn
+
+
 class _Seldom(logging.Filter):
     """Has what strangers' requests cause, uvicorn's warnings, logged as touchd does: each at most once a second."""
 
@@ -161,7 +164,7 @@ class _Seldom(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Log a warning, or count it; return whether the record is another."""
-        if record.levelno != logging.WARNING:
+        if record.levelno != logging.WARNING and record.msg != _NO_TEXT:
             return True
         refused = self._refused.setdefault(str(record.msg), Throttle("request refused"))
         refused.warn(reason=record.getMessage().rstrip("."))

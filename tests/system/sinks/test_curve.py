@@ -189,6 +189,15 @@ def test_keys_stay_known_while_the_folder_cannot_be_read(
     assert any("stay in force" in line["event"] for line in logs)
 
 
+def test_a_folder_that_is_gone_is_named(bus: Bus, keys: Path) -> None:
+    """Without its folder no client is admitted, and the log says once that this is why."""
+    sink = bus(curve_clients=keys.parent / "clients")
+    (keys.parent / "clients").rename(keys.parent / "elsewhere")
+    with capture_logs() as logs, subscriber(sink, keys, "friend") as friend:
+        wait_for_refusal(sink, friend, logs)
+    assert [line["folder"] for line in logs if "is gone" in line["event"]] == [str(keys.parent / "clients")]
+
+
 def test_closing_with_keys_takes_no_time(bus: Bus, keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A handshake that nobody answers does not keep the daemon from ending."""
     sink = bus(curve_clients=keys.parent / "clients")

@@ -251,6 +251,19 @@ def test_idle_connections_give_way(sink: ZeromqSink, log: Log) -> None:
     assert "more than 4" in reasons(log)[0]
 
 
+def test_a_connection_without_a_subscription_is_cut_off(
+    sink: ZeromqSink, honest: zmq.Socket[bytes], log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What asks for a web page, which libzmq takes for a peer of its first protocol, ends; a subscriber stays."""
+    monkeypatch.setattr(peers, "UNSUBSCRIBED_S", 0.3)
+    monkeypatch.setattr(peers, "_LOOK_S", 0.1)
+    with connect(sink.addresses[0]) as scanner:
+        scanner.sendall(b"GET / HTTP/1.0\r\n\r\n")
+        until(sink, lambda: ended(scanner))
+    assert ["subscribed to nothing" in reason for reason in reasons(log)] == [True]
+    assert is_heard(sink, honest)
+
+
 def test_subscribers_do_not_give_way(sink: ZeromqSink, honest: zmq.Socket[bytes]) -> None:
     """When all places are taken by subscribers, the next one is refused until one leaves."""
     sink.publish(touch(1), 0)

@@ -82,6 +82,8 @@ FILE_MISTAKES = [
     ("[device]\nrate_hz = 0", "device.rate_hz", r"is 0, must be a whole number, 1 to 65535 -> .* the default, 125"),
     ("[device]\nrate_hz = 1.5", "device.rate_hz", r"is 1\.5, must be a whole number"),
     ("[device]\nrate_hz = true", "device.rate_hz", r"is True, must be a whole number"),
+    ("[input]\nrotate = 45", "input.rotate", r"is 45, must be a whole number, 0 to 270 and a multiple of 90"),
+    ("[tuio]\nto = 'localhost'", "tuio.to", r"must be HOST:PORT, for example 127\.0\.0\.1:3333"),
     ("[device]\nname = ''", "device.name", r"is empty, must be a text, not empty"),
     ("[device]\nname = 5", "device.name", r"is 5, must be a text"),
     ("[device]\nvendor_id = 0x" + "f" * 5000, "device.vendor_id", r"is far too large, must be a whole number"),
@@ -122,6 +124,7 @@ def test_a_mistake_in_the_file_names_file_key_and_remedy(tmp_path: Path, text: s
         ("TOUCHD_DEVICE_RATE_HZ", "1", r"unknown variable -> did you mean TOUCHD_DEVICE__RATE_HZ\?"),
         ("TOUCHD_DEBUGG", "1", r"unknown variable -> did you mean TOUCHD_DEBUG\?"),
         ("TOUCHD_LOG", "debug", r"names a whole table -> name one of its keys: TOUCHD_LOG__KEY"),
+        ("TOUCHD_DEVICE__VENDOR_ID", "0x12345", r"is '0x12345', must be a whole number, 0 to 65535"),
         ("TOUCHD_BUS__BIND", "[1, 2", r"TOUCHD_BUS__BIND: is '\[1', must be an address"),
         ("TOUCHD_DEVICE__NAME", "\udcff", r"TOUCHD_DEVICE__NAME: is not UTF-8"),
     ],
@@ -132,6 +135,11 @@ def test_a_mistake_in_the_environment_names_the_variable(
     monkeypatch.setenv(name, value)
     with pytest.raises(ConfigError, match=message):
         load()
+
+
+def test_a_usb_id_is_set_as_it_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHD_DEVICE__VENDOR_ID", "0x1d6b")
+    assert load().device.vendor_id == 0x1D6B
 
 
 def test_a_mistake_on_the_command_line_is_not_blamed_on_the_file(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 from collections.abc import Callable
@@ -175,6 +176,19 @@ def test_wrong_file(run: Callable[[str], Run], scene_file: Callable[[str], Path]
     path.write_text("[health]\nperiod_s = 0.25\n[keypad]\nlayout = ''\n")
     reloader.reload()
     assert health.period_ns == 250_000_000
+
+
+def test_another_key_under_the_same_name_waits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A server's key that was replaced, perhaps since it leaked, is in use until a restart: the log says so."""
+    (secret := tmp_path / "server.key_secret").write_text("a")
+    settings = Settings.model_validate({"bus": {"curve_secret_key": secret}})
+    pipeline, messages, health = Mock(Pipeline, model=None, layout=None), Mock(Messages), Mock(Health)
+    reloader = Reloader(settings, lambda: settings, pipeline, messages, health)
+    reloader.reload()
+    assert "wait for a restart" not in capsys.readouterr().err
+    secret.write_text("another")
+    reloader.reload()
+    assert json.loads(capsys.readouterr().err.splitlines()[-1])["waiting"] == ["bus.curve_secret_key"]
 
 
 def test_part_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
