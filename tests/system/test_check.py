@@ -86,6 +86,23 @@ def test_dead_disc(folder: Path, right: Checked) -> None:
     assert not right.reasons
 
 
+def test_swapped_cables(folder: Path) -> None:
+    """Where no finger is placed since cables were swapped, that is what is said, also of a recording with few touches.
+
+    A minute of it once ended in an internal error, and a short one only asked for a minute.
+    """
+    use = read(folder / "use.npz")
+    swapped = replace(use, frames=use.frames[:, [1, 0, 2]])
+    write(folder / "swapped.npz", swapped)
+    checked = check_model(folder / "right.onnx", folder / "swapped.npz")
+    assert checked.verdict == "calibrate again"
+    assert "cables were swapped" in checked.reasons[0]
+    short = simulate_scene("tap", instrument=Instrument(PLATE, layout=LAYOUT), frames=500, seed=2)
+    write(folder / "short.npz", replace(short, frames=short.frames[:, [1, 0, 2]]))
+    with pytest.raises(RecordingValues, match=r"cables were swapped since; .*record a minute"):
+        check_model(folder / "right.onnx", folder / "short.npz")
+
+
 def test_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The command line says the same, to a person and as JSON."""
     asked = ["check", str(folder / "right.onnx"), str(folder / "use.npz")]

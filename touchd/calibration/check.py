@@ -26,6 +26,7 @@ from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.model import Model
 from touchd.localization.model_fit import LEAST, WORN
 from touchd.localization.spline import Position
+from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.service.runner import frames_of
 from touchd.sources.replay import ReplaySource
@@ -35,6 +36,7 @@ DEAD = 0.01
 """A channel with less than this of its gain is dead, and stays so."""
 UNHEARD = 0.01
 """A channel with less than this share of the loudest one's energy of touches is dead: it may hold as much noise."""
+UNLIKE = "the model may be of another plate, or its cables were swapped since"
 POINT = (0j, 0j, 0j, 0j)
 """The shape of a point."""
 SETTLED_FRAMES = 4
@@ -67,6 +69,8 @@ class Use(NamedTuple):
     frames: list[Frame]
     """Settled frames of single fingers."""
     touches: int
+    unplaced: int
+    """Touched frames in which no contact was."""
     fit: float | None
     noise_counts: float
     feet: list[Foot]
@@ -108,19 +112,25 @@ def check_model(path: Path, recording: Path, feet_mm: Sequence[Position] = ()) -
     ]
     if use.fit is None:
         alone = f"record a minute of touches and strokes of one finger, {LEAST} touches at least"
+        many = use.unplaced > LEAST
+        strange = (f"in {use.unplaced} touched frames no finger was placed: {UNLIKE}",) if many else ()
         raise RecordingValues(
-            f"too few touches of one finger alone, of {use.touches} touches", str(recording), "; ".join([*feet, alone])
-        )
+            f"too few touches of one finger alone, of {use.touches} touches", str(recording),
+            "; ".join([*strange, *feet, alone]),
+        )  # fmt: skip
     judged = judge(1 - use.fit, use.touches, *consistency(model.atlas, use.frames, use.noise_counts))
     dead = [
         f"receiver {c + 1} is dead: check its disc and cable"
         for c in dead_channels(use.frames, model.atlas.description.acquisition.channels)
     ]
-    return replace(judged, reasons=(*dead, *feet, *judged.reasons))
+    strange = () if use.frames else (f"no finger was placed steadily: {UNLIKE}",)
+    return replace(judged, reasons=(*dead, *feet, *strange, *judged.reasons))
 
 
 def dead_channels(frames: list[Frame], channels: int) -> list[int]:
     """Return the channels in which touches are not heard."""
+    if not frames:
+        return []
     energy = np.square([frame.vector for frame in frames]).reshape(len(frames), channels, -1).sum(axis=(0, 2))
     return np.flatnonzero(energy < UNHEARD * energy.max()).tolist()
 
@@ -135,7 +145,7 @@ def collect(model: Model, path: Path, feet_mm: Sequence[Position]) -> Use:
     found: list[Frame] = []
     alive: dict[int, tuple[float, float]] = {}
     companions = Companions()
-    touches = settled = 0
+    touches = settled = unplaced = 0
     with closing(source):
         for frame in filter(None, frames_of(source)):
             result = pipeline.process(frame)
@@ -147,12 +157,13 @@ def collect(model: Model, path: Path, feet_mm: Sequence[Position]) -> Use:
                     alive[contact.id] = contact.x_mm, contact.y_mm
             companions.add(alive)
             touches += len(set(alive) - before)
+            unplaced += result.outcome is Outcome.INFERRED and not alive
             settled = settled + 1 if len(alive) == result.touches == 1 and before == set(alive) else 0
             if settled > SETTLED_FRAMES:
                 vector = (pipeline.residual.astype(np.float64) @ to_bins).reshape(-1)
                 found.extend(Frame(contact_id, position_mm, vector) for contact_id, position_mm in alive.items())
     pipeline.release(0)
-    return Use(found, touches, pipeline.model_fit, pipeline.detector.noise_counts(), companions.feet())
+    return Use(found, touches, unplaced, pipeline.model_fit, pipeline.detector.noise_counts(), companions.feet())
 
 
 def consistency(

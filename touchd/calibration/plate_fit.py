@@ -190,10 +190,11 @@ def _fit(
     named = material_like(np.sqrt(plate.elastic.E_pa / plate.elastic.rho_kg_m3), plate.elastic.nu)
     if named and named != plate.material.lower() and any(q.at_prior for q in parameters[:4]):
         found = (*found, f"{named} fits, not {plate.material}: correct the material")
+    moved = ((state.p - reader.start) / reader.prior)[reader.index(("width", "height"))]
     judgement = judge(
         left, parameters, noise_share=noise_share, frame_noise=np.sqrt(noise_share * untouched.frames),
         wavelength_mm=wavelength_mm(plate, untouched.acquisition.chirp),
-        scale_mm=float(np.sqrt(np.trace(covariance))) / 2,
+        scale_mm=float(np.sqrt(np.trace(covariance))) / 2, contradiction=float(np.linalg.norm(moved)),
         clamped=[side for side, kind in reader.held.items() if kind == "clamped"], found=found,
     )  # fmt: skip
     scattered = 0.0
@@ -228,13 +229,14 @@ def _parameters(reader: Reader, state: State) -> tuple[Parameter, ...]:
 
 def judge(
     shares: Floats, parameters: Sequence[Parameter], *, noise_share: float, frame_noise: float, wavelength_mm: float,
-    scale_mm: float, clamped: Sequence[str] = (), found: Sequence[str] = (),
+    scale_mm: float, contradiction: float = 0.0, clamped: Sequence[str] = (), found: Sequence[str] = (),
 ) -> Judgement:  # fmt: skip
     """Return verdict, expected error and reasons.
 
     `shares` (R,) is what the fit leaves of each channel's energy, NaN of a dead one; `noise_share` of the mean frame's
     energy is noise. `frame_noise` is the RMS of one frame's noise relative to the signal, `scale_mm` the error of
-    places by the errors of width and height, half of these. `clamped` are sides in a clamp, and `found` says what else
+    places by the errors of width and height, half of these, and `contradiction` how far the fit has moved the two, in
+    what they were said to err by. `clamped` are sides in a clamp, and `found` says what else
     was found: a swapped channel, another material that fits.
     """
     dead = np.flatnonzero(np.isnan(shares))
@@ -242,7 +244,7 @@ def judge(
     left = max(float(np.mean(live)) - noise_share, 0.0) if live.size else 1.0
     parts = (EXACT, NOISE * frame_noise, MODEL * np.sqrt(left))
     apart_mm = np.array([wavelength_mm * np.linalg.norm(parts), scale_mm, CLAMPED_MM if clamped else 0.0])
-    expected_mm = float(np.linalg.norm(apart_mm))
+    expected_mm = told_mm = float(np.linalg.norm(apart_mm))
     reasons = list(found)
     reasons += [f"the {side} edge is clamped: places may be shifted as a whole; free it" for side in clamped]
     reasons += [f"receiver {c + 1} is dead: check its disc and cable" for c in dead]
@@ -260,10 +262,11 @@ def judge(
         f"{p.name}: {p.said:.4g} {p.unit} was said, {p.fitted:.4g} fits: measure it again".replace("  ", " ")
         for p in pulled
     ]
-    if left > USABLE_LEFT or expected_mm > USABLE_MM or live.size < 2:
-        return Judgement("poor", expected_mm, (_unexplained(left), *reasons), UNDECIDED)
     if left > GOOD_LEFT:
         reasons.insert(0, _unexplained(left))
+    elif contradiction > AT_PRIOR:  # what the fit lacks does not move them
+        told_mm = float(np.hypot(expected_mm, scale_mm * contradiction))
+        reasons.append("width and height contradict each other: measure both again")
     if NOISE * frame_noise * wavelength_mm > GOOD_MM / 2:
         reasons.append(f"noise of {20 * np.log10(frame_noise):.0f} dB: raise the gain, or shield the cables")
     if scale_mm > GOOD_MM / 2:
@@ -274,16 +277,18 @@ def judge(
             f"waves of {wavelength_mm:.0f} mm are shorter than a fingertip is wide, and some touches get lost: "
             "chirp at lower frequencies, or take a thicker pane"
         )
+    if left > USABLE_LEFT or expected_mm > USABLE_MM or live.size < 2:
+        return Judgement("poor", told_mm, tuple(reasons), UNDECIDED)
     good = (
         not (short or dead.size or odd or pulled or bonded or found or clamped)
         and left <= GOOD_LEFT
-        and expected_mm <= GOOD_MM
+        and told_mm <= GOOD_MM
     )
-    return Judgement("good" if good else "usable", expected_mm, () if good else tuple(reasons), UNDECIDED)
+    return Judgement("good" if good else "usable", told_mm, () if good else tuple(reasons), UNDECIDED)
 
 
 def _unexplained(left: float) -> str:
     return (
         f"the plate's physics leave {left:.1%} of the response: check that it is one rectangular pane without holes, "
-        "what holds its edges, and the order of the channels"
+        "its width and height, what holds its edges, and the order of the channels"
     )

@@ -126,9 +126,20 @@ def check_picture(output: Path) -> None:
         raise OutputError(f"{kind!r} is no format of a plot", str(output), "choose a name that ends in .png")
 
 
+_RULER = 0.01, 0.01, 0.05
+"""Share by which a person may have measured width, height and thickness wrong."""
+
+
 def warn_of_other_plate(model: Description, recording: Meta) -> None:
-    """Warn if a recording is of another plate than the model's."""
-    if model.plate != recording.plate:
+    """Warn if a recording is of another plate than the model's, whose lengths a calibration may have corrected."""
+    one, other = model.plate, recording.plate
+    alike = one.material == other.material and all(
+        abs(length_mm - other_mm) <= share * other_mm
+        for length_mm, other_mm, share in zip(
+            (*one.size_mm, one.thickness_mm), (*other.size_mm, other.thickness_mm), _RULER, strict=True
+        )
+    )
+    if not alike:
         click.echo(
             f"touchd: warning: the model is for the plate {model.plate}, the recording is of the plate "
             f"{recording.plate}", err=True,

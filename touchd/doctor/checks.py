@@ -205,7 +205,7 @@ def check_baseline(sample: Sample, reference: Floats) -> Finding:
             swapped = [c for c in range(len(now)) if best[c] != c]
             return Finding("baseline", "failure", f"{text}: channels {_names(swapped)} are in another order",
                            "connect the receivers in the order of the training")  # fmt: skip
-    fix = "train a model on this plate, or undo the change: transducers, frame, supports, temperature"
+    fix = "calibrate or train again, or undo the change: transducers, frame, supports, temperature"
     return Finding("baseline", level, text, fix)
 
 

@@ -54,6 +54,23 @@ def test_why_not_better(other: dict[str, object], verdict: str, reason: str) -> 
     assert any(reason in each for each in found.reasons)
 
 
+def test_noise_alone_is_not_the_pane() -> None:
+    """A poor fit whose physics lack nothing has the noise as its reason, not holes."""
+    found = judged(frame_noise=0.1)
+    assert found.verdict == "poor"
+    assert found.reasons == ("noise of -20 dB: raise the gain, or shield the cables",)
+
+
+def test_sides_that_contradict_each_other() -> None:
+    """A width said 2 mm too large, which only the height contradicts, is named, and the expected error has it."""
+    found = judged(contradiction=3.7, scale_mm=0.09)
+    assert (found.verdict, found.reasons) == (
+        "usable", ("width and height contradict each other: measure both again",)
+    )  # fmt: skip
+    assert found.expected_mm > 3.7 * 0.09
+    assert judged(contradiction=1.9).verdict == "good"
+
+
 def test_worse_physics_expect_more() -> None:
     """The expected error grows with what the fit leaves."""
     errors = [judged(shares=np.full(4, left)).expected_mm for left in (1e-4, 1e-3, 1e-2, 1e-1)]
