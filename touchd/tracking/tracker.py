@@ -18,7 +18,7 @@ _NEVER = 1e9  # mm: finite, as the assignment asks
 _GOING, _LONGEST_S = 0.25, 0.1
 """A finger is looked for where it was, and where it was going, at this price for the way there, in mm per mm: else one
 that lifts as it comes near another takes that one's place. It is predicted so far ahead at most."""
-_LEAP_MM, _LEAP_S, _LEAP_MM_S2 = 10.0, 4.0, 50_000.0
+_LEAP_MM, _LEAP_S, _LEAP_MM_S2 = 8.0, 4.0, 30_000.0
 """From one frame to the next a finger's place changes by no more than this, its speed for so many frames, and what
 hardly a hand accelerates by: beyond, another finger has landed as this one lifted. In its first frames no speed is
 known."""
