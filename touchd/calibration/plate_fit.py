@@ -236,8 +236,8 @@ def judge(
     `shares` (R,) is what the fit leaves of each channel's energy, NaN of a dead one; `noise_share` of the mean frame's
     energy is noise. `frame_noise` is the RMS of one frame's noise relative to the signal, `scale_mm` the error of
     places by the errors of width and height, half of these, and `contradiction` how far the fit has moved the two, in
-    what they were said to err by. `clamped` are sides in a clamp, and `found` says what else
-    was found: a swapped channel, another material that fits.
+    what they were said to err by. `clamped` are sides in a clamp, and `found` says what else was found: a swapped
+    channel, another material that fits.
     """
     dead = np.flatnonzero(np.isnan(shares))
     live = shares[~np.isnan(shares)]
@@ -264,7 +264,7 @@ def judge(
     ]
     if left > GOOD_LEFT:
         reasons.insert(0, _unexplained(left))
-    elif contradiction > AT_PRIOR:  # what the fit lacks does not move them
+    elif contradiction > AT_PRIOR:  # where physics lack, they may be what has moved the sides
         told_mm = float(np.hypot(expected_mm, scale_mm * contradiction))
         reasons.append("width and height contradict each other: measure both again")
     if NOISE * frame_noise * wavelength_mm > GOOD_MM / 2:

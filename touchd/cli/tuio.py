@@ -40,21 +40,20 @@ def command(to: str | None, address: str | None, config: Path | None) -> None:
 def destination(to: str, *, insecure: bool) -> tuple[str, int]:
     """Return host and port.
 
-    Raises ConfigError for other texts, InsecureBind beyond loopback, unless that is allowed; BridgeError if nobody can
-    be asked for a name's address now: at boot the network may come later than this.
+    Raises ConfigError for a name without an address, InsecureBind beyond loopback, unless that is allowed; BridgeError
+    if nobody can be asked for a name's address now: at boot the network may come later than this.
     """
     host, _, port = to.rpartition(":")
-    host = host.strip("[]")
     try:
-        found = socket.getaddrinfo(host, int(port), type=socket.SOCK_DGRAM) if host else []
-    except (OSError, ValueError, OverflowError) as error:
+        found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)
+    except (OSError, ValueError) as error:  # ValueError: of a name that cannot be encoded
         if isinstance(error, socket.gaierror) and error.errno == socket.EAI_AGAIN:
             fix = "start it again, as systemd does, once the network is there, or write the address in numbers"
             raise BridgeError(
                 f"nobody knows the address at present ({error.strerror})", f"tuio.to {to}", fix
             ) from error
         found = []
-    if not found or not 0 < int(port) < 65536:
+    if not found:
         raise ConfigError("is no HOST:PORT of UDP", f"tuio.to {to}", "write for example 127.0.0.1:3333")
     reached = str(found[0][4][0])
     if not insecure and not ipaddress.ip_address(reached.partition("%")[0]).is_loopback:

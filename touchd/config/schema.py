@@ -193,7 +193,7 @@ class TuioSettings(Section):
     @classmethod
     def _has_a_port(cls, to: str) -> str:
         host, _, port = to.rpartition(":")
-        if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        if not host.strip("[]") or not port.isdecimal() or not 0 < int(port) < 65536:
             raise ValueError("must be HOST:PORT, for example 127.0.0.1:3333")
         return to
 

@@ -75,7 +75,8 @@ class Reloader:
         self.settings = settings
         """Those in use."""
         self._read = read
-        self._key_files = [path for path in [settings.bus.curve_secret_key] if path is not None]
+        key = settings.bus.curve_secret_key
+        self._key_files = () if key is None else (key,)
         self._key_stamps = stamps_of(*self._key_files)
         self._pipeline, self._messages, self._health, self._preroll = pipeline, messages, health, preroll
 

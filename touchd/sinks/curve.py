@@ -84,7 +84,7 @@ class ClientKeys:
     """The public keys in a folder of `.key` files: who may subscribe.
 
     A file is read when it is new or has changed. One that holds no key is skipped, and logged once. While the folder
-    cannot be looked at, for want of descriptors or permission, the keys known stay in force.
+    cannot be looked at, for want of descriptors or permission, the keys known stay in force; once it is gone, none.
 
     Raises BusError if the folder cannot be read at first, or holds no key: nobody could subscribe.
     """

@@ -18,10 +18,10 @@ _NEVER = 1e9  # mm: finite, as the assignment asks
 _GOING, _LONGEST_S = 0.25, 0.1
 """A finger is looked for where it was, and where it was going, at this price for the way there, in mm per mm: else one
 that lifts as it comes near another takes that one's place. It is predicted so far ahead at most."""
-_LEAP_MM, _LEAP_S, _LEAP_MM_S2 = 8.0, 4.0, 30_000.0
-"""From one frame to the next a finger's place changes by no more than this, its speed for so many frames, and what
-hardly a hand accelerates by: beyond, another finger has landed as this one lifted. In its first frames no speed is
-known."""
+_LEAP_MM, _LEAP_FRAMES, _LEAP_MM_S2 = 8.0, 4.0, 30_000.0
+"""From one frame to the next a finger goes no farther than this, with its speed for so many frames, which the filter
+knows late, and an acceleration of three times gravity (assumed). Farther away another finger has landed as this one
+lifted. In its first frame no speed is known."""
 _RELEASE_FRAMES = 2
 _SURE_CONFIDENCE, _SURE_SIGMA_MM = 0.99, 0.3
 """One frame is enough for a lone finger surer than this. Of fingertips, 96 in 100 are in the first frame that shows
@@ -73,7 +73,7 @@ class Tracker:
     A finger is reported `down` once it was found in `confirm_frames` frames in a row, a lone and sure one in its first
     frame, and `up` once it was missing from 2 of them. Which finger is which is decided by the assignment of
     positions to contacts with the smallest total distance, from where they were or were going. None comes farther than
-    `reach_mm`.
+    `reach_mm`, and one at rest less far.
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -171,8 +171,8 @@ class Tracker:
         if distance_mm > self._reach_mm:
             return _NEVER
         if distance_mm > _LEAP_MM and track.contact is not None and track.contact.phase != "down":
-            frames_mm = (_LEAP_S * hypot(at.vx_mm_s, at.vy_mm_s) + 0.5 * _LEAP_MM_S2 * elapsed_s) * elapsed_s
-            if distance_mm > _LEAP_MM + frames_mm:
+            speed_mm_s = _LEAP_FRAMES * hypot(at.vx_mm_s, at.vy_mm_s) + 0.5 * _LEAP_MM_S2 * elapsed_s
+            if distance_mm > _LEAP_MM + speed_mm_s * elapsed_s:
                 return _NEVER
         ahead_s = min(elapsed_s * (1 + track.missing), _LONGEST_S)
         off_mm = hypot(x_mm - at.vx_mm_s * ahead_s, y_mm - at.vy_mm_s * ahead_s)

@@ -156,7 +156,7 @@ _NO_TEXT = "Invalid UTF-8 sequence received from client."  # an error to uvicorn
 
 
 class _Seldom(logging.Filter):
-    """Has what strangers' requests cause, uvicorn's warnings, logged as touchd does: each at most once a second."""
+    """Has what strangers' requests cause logged as touchd does, each at most once a second: most warn uvicorn."""
 
     def __init__(self) -> None:
         super().__init__()

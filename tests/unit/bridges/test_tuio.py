@@ -20,6 +20,7 @@ from tests.unit.bridges.tuioclient import Client
 from touchd.bridges.area import Area, Place
 from touchd.bridges.tuio import BLOB, CURSOR, Frames, Tuio
 from touchd.cli.tuio import destination
+from touchd.config.load import load
 from touchd.config.schema import InputSettings
 from touchd.errors import BridgeError, ConfigError, InsecureBind
 
@@ -174,15 +175,17 @@ def test_a_killed_bridge_leaves_no_cursor() -> None:
 
 
 def test_destination() -> None:
-    """Loopback is allowed, any other address only if somebody said so; the rest is refused with an example."""
+    """Loopback is allowed, any other address only if somebody said so; the rest is refused."""
     assert destination("127.0.0.1:3333", insecure=False) == ("127.0.0.1", 3333)
     assert destination("[::1]:3333", insecure=False) == ("::1", 3333)
     assert destination("192.0.2.7:3333", insecure=True) == ("192.0.2.7", 3333)
     with pytest.raises(InsecureBind, match=r"tuio\.insecure = true"):
         destination("192.0.2.7:3333", insecure=False)
     for bad in ("", "3333", ":3333", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:99999", "127.0.0.1:x"):
-        with pytest.raises(ConfigError, match="HOST:PORT"):
-            destination(bad, insecure=False)
+        with pytest.raises(ConfigError, match=r"tuio\.to: .*127\.0\.0\.1:3333"):
+            load(None, {"tuio": {"to": bad}})
+    with pytest.raises(ConfigError, match="HOST:PORT"):
+        destination("a..b:3333", insecure=False)
 
 
 def test_network_that_comes_later(monkeypatch: pytest.MonkeyPatch) -> None:
