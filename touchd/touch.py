@@ -28,16 +28,24 @@ class Face(Struct, gc=False, frozen=True):
     """Standard error of `along_mm2` and of `diagonal_mm2`, each."""
 
 
+PART_MM = 25.0
+"""What is nearer to a part of a palm belongs to it."""
+
+
 class PalmArea(Struct, gc=False, frozen=True):
-    """Where a palm lies: what is nearer to its middle than `reach_mm` is part of it."""
+    """Where a palm lies: what is nearer to its middle than `reach_mm`, or to a part of it, belongs to it."""
 
     x_mm: float
     y_mm: float
     reach_mm: float
+    parts_mm: tuple[tuple[float, float], ...] = ()
+    """Of a long one, as of a forearm: what of it was seen beyond its reach."""
 
     def has(self, x_mm: float, y_mm: float) -> bool:
-        """Return whether a position is within reach."""
-        return math.hypot(x_mm - self.x_mm, y_mm - self.y_mm) < self.reach_mm
+        """Return whether a position is within reach, or at a part."""
+        if math.hypot(x_mm - self.x_mm, y_mm - self.y_mm) < self.reach_mm:
+            return True
+        return any(math.hypot(x_mm - x, y_mm - y) < PART_MM for x, y in self.parts_mm)
 
 
 class Touch(Struct, gc=False, frozen=True):

@@ -214,3 +214,20 @@ def test_a_plate_that_cools_at_once_beside_a_drop_hides_no_tap(seed: int, instru
         stage.lay("silicone", 2.1 + 0.7 * k, 2.35 + 0.7 * k, still(30.0 + 20 * k, 52.5 + 15 * k), force_n=2.5)
     found = score(stage, play(stage, instrument))
     assert (found.touches, found.missed, found.ghosts) == (5, 0, 0)
+
+
+def test_a_forearm_is_a_palm_from_end_to_end(instrument: Instrument) -> None:
+    """Four soft patches that lie over 120 mm, longer than a palm reaches, bring no contact once they have landed.
+
+    The outermost was a finger for all the time it lay.
+    """
+    stage = empty_stage(4.0, seed=4600000)
+    places_mm = [(160.0, 190.0), (156.0, 150.0), (148.0, 108.0), (141.0, 70.0)]
+    for column, (place_mm, area_mm2) in enumerate(zip(places_mm, (150.0, 200.0, 230.0, 150.0), strict=True)):
+        stage.lay(
+            "fingertip", 1.5 + 0.03 * column, 3.7, still(*place_mm), force_n=None, area_mm2=area_mm2, column=column,
+            land_s=0.08,
+        )  # fmt: skip
+    messages = play(stage, instrument, 4600000).touches
+    assert max(message.frame for message in messages) < 1.9 * RATE_HZ
+    assert {contact.kind for message in messages for contact in message.contacts if contact.phase == "up"} == {"palm"}

@@ -42,6 +42,11 @@ Weighed by their energy, the heels' is twice as far off."""
 SAME_MM, LATELY_NS = 12.0, 500_000_000
 """Contacts nearer than that in two frames are one. Before a palm is known those count that it showed within this time:
 of a hand that lands at once soon nothing is placed any more."""
+LANDS_NS = 500_000_000
+"""So long after it is known it still lands: what comes within reach of a part of it is another part. A forearm and a
+flat hand are longer than its reach."""
+RESTS_NS = 300_000_000
+"""Fingers that have been there for so long when a palm comes are no parts of it."""
 GONE_NS = 300_000_000
 """A palm is forgotten when no contact has been within its reach for so long."""
 FADES = 0.1
@@ -75,6 +80,9 @@ class Palm:
         self._largest = 0.0  # signal of the palm
         self._heavy_mm = 0.0, 0.0  # middle by energy, of the last contacts
         self._places: list[tuple[int, float, float]] = []  # where contacts were seen, and when
+        self._known_ns = 0  # when the palm became known
+        self._fingers_mm: list[Position] = []  # of the last frame without a palm, ...
+        self._fingers_ns = self._rest_ns = 0  # ... when that was, and since when there had been any
 
     def contacts(
         self, fit: Fit, excess: float, signal: float, t_ns: int, beside_mm: Position | None = None
@@ -87,6 +95,9 @@ class Palm:
             self._since_ns, self._signal, self.covers = None, signal, None
             self._alike = self._missed = False
             self._places.clear()
+            if not 0 <= t_ns - self._fingers_ns < STAYS_NS or not self._fingers_mm:
+                self._rest_ns = t_ns
+            self._fingers_mm, self._fingers_ns = fit.positions_mm, t_ns
             return set()
         self._look(fit, excess, t_ns)
         if self.area is not None and t_ns > self._until_ns:
@@ -94,6 +105,8 @@ class Palm:
         if self._missed and excess <= UNLIKE and self.area is not None:
             self._be_where(fit, beside_mm)
         self._missed = False
+        if self.area is not None and self.area is not NOWHERE and 0 <= t_ns - self._known_ns < LANDS_NS:
+            self._grow()
         self._cover(signal, doubtful=self._since_ns is not None)
         if self.area is None:
             return set()
@@ -136,6 +149,7 @@ class Palm:
             self._since_ns = t_ns if self._since_ns is None or not self._alike else min(t_ns, self._since_ns)
             self._alike = True
             if t_ns - self._since_ns >= STAYS_NS:
+                self._known_ns = t_ns if self.area is None else self._known_ns
                 self.area = self._area()
                 self.see(t_ns)
         elif excess <= UNLIKE:
@@ -167,4 +181,17 @@ class Palm:
     def _area(self) -> PalmArea:
         near = [place[1:] for place in self._places if math.dist(place[1:], self._heavy_mm) < REACH_MM]
         x_mm, y_mm = map(mean, zip(*(near or [self._heavy_mm]), strict=True))
-        return PalmArea(x_mm, y_mm, REACH_MM)
+        return PalmArea(x_mm, y_mm, REACH_MM, self.area.parts_mm if self.area else ())
+
+    def _grow(self) -> None:
+        """Take the places beyond the reach that a part reaches, or the next to it, as parts."""
+        assert self.area is not None
+        others = [place[1:] for place in self._places]
+        if self._fingers_ns - self._rest_ns >= RESTS_NS and self._known_ns - self._fingers_ns < LATELY_NS:
+            others = [place for place in others if all(math.dist(place, one) > SAME_MM for one in self._fingers_mm)]
+        parts = [place for place in others if self.area.has(*place)]
+        for one in parts:  # it grows meanwhile
+            parts += [place for place in others if place not in parts and math.dist(place, one) < REACH_MM]
+        middle_mm = self.area.x_mm, self.area.y_mm
+        beyond = tuple(place for place in parts if math.dist(place, middle_mm) >= REACH_MM)
+        self.area = PalmArea(*middle_mm, REACH_MM, beyond)

@@ -11,6 +11,7 @@ from touchd.localization.palm import (
     FADES,
     GONE_NS,
     HUGE_SIZE,
+    LANDS_NS,
     LARGE_MM2,
     LARGE_SIZE,
     LARGE_TOGETHER,
@@ -20,6 +21,7 @@ from touchd.localization.palm import (
     POOR,
     POOR_SIZE,
     REACH_MM,
+    RESTS_NS,
     SIZE,
     STAYS_NS,
     UNLIKE,
@@ -98,10 +100,43 @@ def test_reach() -> None:
     assert t_ns is not None
     beside = fit_of({NEAR: 2.0, HEEL: 1.2 * MOMENT_MM2, FAR: 2.0, BALL: 2.0}, 10.0)
     light = replace(beside, amplitudes=[z * (0.1 if k == 2 else 1.0) for k, z in enumerate(beside.amplitudes)])
-    assert palm.contacts(light, 0.0, 1.0, t_ns + FRAME_NS) == {0, 1, 3}
+    assert palm.contacts(light, 0.0, 1.0, t_ns + LANDS_NS) == {0, 1, 3}
     assert palm.area is not None
     assert palm.area.has(*BALL)
     assert not palm.area.has(*FAR)
+
+
+FARTHER = (FAR[0] + 0.8 * REACH_MM, FAR[1])
+FOREARM = fit_of({HEEL: 1.2 * MOMENT_MM2, BALL: 2.0, FAR: 2.0, FARTHER: 2.0}, 10.0)
+
+
+def test_forearm() -> None:
+    """What lands with a palm, one part within reach of the next, is a part; what lands later far away is none."""
+    palm, t_ns = seen(HUGE, 0.0)
+    assert t_ns is not None
+    assert palm.contacts(FOREARM, 0.0, 1.0, t_ns + FRAME_NS) == {0, 1, 2, 3}
+    later_ns = t_ns + 2 * LANDS_NS
+    palm.see(later_ns)
+    assert palm.area is not None
+    assert palm.area.has(*FARTHER)
+    away = fit_of({HEEL: 1.2 * MOMENT_MM2, BALL: 2.0, (HEEL[0], HEEL[1] + 1.4 * REACH_MM): 2.0}, 10.0)
+    assert palm.contacts(away, 0.0, 1.0, later_ns) == {0, 1}
+
+
+@pytest.mark.parametrize(("rested_ns", "is_part"), [(0.8 * RESTS_NS, True), (1.2 * RESTS_NS, False)])
+def test_it_lands_beside_a_finger(rested_ns: float, is_part: bool) -> None:
+    """A finger that has rested for a while is no part of a hand that lands beyond its reach; a hand's first one is."""
+    beside = (BALL[0] + 0.9 * REACH_MM, BALL[1])
+    palm, t_ns = Palm(), 0
+    while t_ns < rested_ns:
+        palm.contacts(fit_of({beside: 2.0}, 3.0), 0.0, 1.0, t_ns)
+        t_ns += FRAME_NS
+    landed = fit_of({beside: 2.0, HEEL: 1.2 * MOMENT_MM2, BALL: 2.0, NEAR: 2.0}, 10.0)
+    landed = replace(landed, amplitudes=[3.0 + 0j, *landed.amplitudes[1:]])
+    while not palm.area:
+        of_palm = palm.contacts(landed, 0.0, 1.0, t_ns)
+        t_ns += FRAME_NS
+    assert of_palm == {1, 2, 3} | ({0} if is_part else set())
 
 
 def test_middle() -> None:
@@ -152,10 +187,10 @@ def test_it_lay_elsewhere(beside_mm: Position | None, own: set[int]) -> None:
 
 
 def test_a_finger_beside_it() -> None:
-    """A contact elsewhere of a frame in which it is seen, too, is a finger's."""
+    """A contact elsewhere of a frame in which it is seen, too, is a finger's, once it has landed."""
     palm, t_ns = seen(HUGE, 0.0)
     assert t_ns is not None
-    t_ns, _ = missed(palm, t_ns, 10 * FRAME_NS)
+    t_ns, _ = missed(palm, t_ns, LANDS_NS)
     assert palm.contacts(fit_of({BALL: 2.0, FAR: 2.0}, 3.0), WELL, 1.0, t_ns + FRAME_NS) == {0}
 
 
