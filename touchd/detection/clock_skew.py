@@ -26,7 +26,7 @@ LARGEST, _SKEWS, _POINTS = 0.4, 801, 8192
 skews that are tried, and points of the transform in which each is looked up."""
 SHARE, CLEAR = 0.4, 0.08
 """One skew must explain this share of the coherence between frames, averaged over frequencies and lags, and this much
-more than no skew does."""
+more than one factor in all frequencies does, of either sign: that is of a finger that rests and wanders."""
 
 
 class ClockSkew:
@@ -86,14 +86,16 @@ class ClockSkew:
         """Return the skew in samples a frame, positive if the waveform arrives earlier; None unless one stands out."""
         skews = np.linspace(-LARGEST, LARGEST, _SKEWS)
         shares = np.zeros(_SKEWS)
+        by_factor = 0.0
         lags = _LAGS[self.added >= 2 * _LAGS].tolist()
         for lag, common in zip(lags, self._common / self._power, strict=False):
             turns = lag * skews / self._samples  # per bin
             at = np.round(turns * self._apart * _POINTS).astype(np.int64) % _POINTS
             turned = np.fft.fft(common, _POINTS)[at] * np.exp(-2j * np.pi * turns * self._band[0])
             shares += turned.real / len(common) / len(lags)
+            by_factor += abs(common.real.mean()) / len(lags)
         best = int(shares[1:-1].argmax()) + 1
-        if shares[best] <= max(SHARE, shares[_SKEWS // 2] + CLEAR):
+        if shares[best] <= max(SHARE, by_factor + CLEAR):
             return None
         before, most, behind = shares[best - 1 : best + 2]
         bend = before - 2 * most + behind

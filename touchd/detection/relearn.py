@@ -29,6 +29,8 @@ _NOISE_ABOVE, _INDEPENDENT = 1.5, 2.0
 that follows a far louder one, as after a knock, says no more."""
 _LOOK_NS = 50_000_000
 """A tracked finger is compared with its reference this often: what stays does so for seconds."""
+_GAP_NS = 2_000_000_000
+"""What the plate did while no frame came for so long is unknown: nothing has stayed the same."""
 _UNSTEADY_NS = 1_000_000_000
 """A change without a finger that never repeats for this long is noise."""
 _RESTLESS_NS = 2_000_000_000
@@ -93,7 +95,7 @@ class Relearn:
         self.active = True
         if moving:
             self._moved_ns = t_ns
-        if self._same_since_ns is None:
+        if self._same_since_ns is None or t_ns - self._looked_ns > _GAP_NS:
             self._begin(t_ns, residual.reshape(-1), energy)
             self._noise_since_ns = self._looked_ns = self._fingerless_since_ns = t_ns
             return None

@@ -75,6 +75,28 @@ def test_any_skew_is_found(skew: float, back: bool, level: float, seed: int) -> 
     assert [skew_ns * 1e-9 * USB.sample_rate_hz for skew_ns in told] == pytest.approx([skew], abs=1e-3)
 
 
+class ToAndFro(Skewed):
+    """Frames of noise and of a wave that grows and shrinks, and turns, over some frames: a finger that wanders."""
+
+    def __init__(self, period: float, level: float, seed: int) -> None:
+        super().__init__(USB, 0.0, level, seed)
+        self.period = period
+
+    def frame(self, number: int) -> Floats:
+        wave = np.fft.irfft(self.spectrum * np.sin(2 * np.pi * number / self.period))
+        white: Floats = NOISE * self.rng.standard_normal((len(wave), self.samples))
+        return white + wave[:, : self.samples]
+
+
+@settings(max_examples=12)
+@given(period=st.floats(60, 1500), level=st.floats(1.5, 40), seed=st.integers(0, 2**16))
+def test_what_comes_and_goes_at_one_place_is_no_skew(period: float, level: float, seed: int) -> None:
+    """A finger that rested for 30 s, and is part of the baseline, wanders by a tenth of a millimetre."""
+    told: list[float] = []
+    run(OtherChirp(USB, on_found=told.append), ToAndFro(period, level, seed), 0, 2 * LONGEST)
+    assert told == []
+
+
 def test_float32_does_as_float64() -> None:
     single, double = (
         run(OtherChirp(USB, dtype), Skewed(USB, 0.04, 10.0), 0, 500, dtype)[-100:] for dtype in (np.float32, float)

@@ -90,6 +90,12 @@ def test_clock_steps_back() -> None:
     assert reason == (1 + 3750, Reason.ABSORBED)
 
 
+def test_no_frame_came() -> None:
+    """What rests before and after ten minutes without a frame is absorbed once it has rested for 30 s since."""
+    reason = first_reason(still(5000), finger=True, start_ns=[0, PERIOD_NS, 600 * 10**9])
+    assert reason == (2 + 3750, Reason.ABSORBED)
+
+
 def test_noise_has_grown() -> None:
     """Grown noise is found within two seconds, unless a finger is down."""
     reason = first_reason(changing(1000))
