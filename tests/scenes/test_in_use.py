@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.stages import RATE_HZ, empty_stage, play, score, shipped
+from tests.system.soak.interpolated import Interpolated
 from touchd.config.schema import Settings
 from touchd.event import Contact
 from touchd.frame import Frame
@@ -63,6 +64,35 @@ def test_five_fingers_in_frames_that_come_seldom(rate_hz: float, seed: int, inst
     assert found.touches > 20
     assert (found.missed, found.ghosts) == (0, 0)
     assert "palm" not in [one.kind for message in outcome.touches for one in message.contacts if one.phase == "up"]
+
+
+def test_each_of_five_fingers_close_together_lifts_and_lands_again() -> None:
+    """The others stay: while the one that lands was faint they once went up as a palm's, and came down again."""
+    stage = empty_stage(13.6, seed=4620000)
+    places_mm = np.add([(60, 110), (78, 95), (96, 88), (114, 92), (132, 104)], stage.rng.uniform(-4, 4, (5, 2)))
+    starts_s, lift_s, lifts = [2.0 + 0.15 * finger for finger in range(5)], 3.5, 0
+    while lift_s < stage.end_s - 1.5:
+        finger = lifts % 5
+        stage.lay("fingertip", starts_s[finger], lift_s, still(*places_mm[finger]), force_n=0.6, column=finger)
+        starts_s[finger] = lift_s + stage.rng.uniform(0.2, 0.4)
+        lift_s, lifts = lift_s + stage.rng.uniform(0.5, 0.9), lifts + 1
+    for finger, start_s in enumerate(starts_s):
+        stage.lay("fingertip", start_s, stage.end_s - 0.5, still(*places_mm[finger]), force_n=0.6, column=finger)
+    found = score(stage, play(stage, Interpolated(DEFAULT_PLATE), 4620000))
+    assert found.touches == 5 + lifts
+    assert (found.missed, found.ghosts, found.split) == (0, 0, 0)
+
+
+def test_a_thumb_that_presses_firmly_is_no_palm(instrument: Instrument) -> None:
+    """Taps of 230 mm^2, there within a frame or two, once went up as a palm's: a desktop undid them."""
+    stage = empty_stage(9.0, seed=4622000)
+    for start_s in np.arange(1.0, 8.0, 0.7).tolist():
+        length_s = float(stage.rng.uniform(0.15, 0.4))
+        stage.lay("thumb", start_s, start_s + length_s, still(*stage.rng.uniform(20, 180, 2).tolist()), force_n=1.8)
+    outcome = play(stage, instrument)
+    found = score(stage, outcome)
+    assert (found.touches, found.missed, found.ghosts) == (10, 0, 0)
+    assert {one.kind for message in outcome.touches for one in message.contacts if one.phase == "up"} == {"thumb"}
 
 
 @pytest.mark.parametrize("pause_s", [0.1, 0.3])

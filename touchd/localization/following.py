@@ -260,6 +260,10 @@ class Follower:
             again = self._solver.fit_shapes(bins, fit, self._noise.noise_energy, _SHAPE_STEPS)
             left = self._noise.excess(again.residual_energy, signal)
             explained = max(known.excess, CRITERIA.enough, CRITERIA.shape_grown * excess)
+            if explained <= left < CRITERIA.fair < excess and len(positions_mm) == 1:
+                # It has pressed so quickly that two steps do not get there.
+                again = self._solver.fit_shapes(bins, again, self._noise.noise_energy, _SHAPE_STEPS)
+                left = self._noise.excess(again.residual_energy, signal)
             if left < explained or (left < CRITERIA.good and self._waited(t_ns)):
                 return again
             if excess > CRITERIA.fair:

@@ -38,6 +38,8 @@ _GAIN = 0.8
 _OUTDATED = 4.0
 """A search for fingers that land begins again once the signal has grown by this factor, and beside others once what
 they leave has: they were faint at first."""
+_LACKS = 2.0
+"""Fingers are kept without which this many times as much would be left, if no more were found."""
 _LIKE, _PATIENT_FRAMES = 0.95, 5
 """So it does if less than this share of the signal is along the first frame's so many frames later: that one was
 measured while they came, and what is found in it is of no use."""
@@ -256,10 +258,12 @@ class MultitouchSearch:
 
     def _settle(self, bins: Bins, found: Fit, known: int, fit: Fit, signal: float) -> Found:
         """Return what was found without false fingers, and decide when to search again."""
-        found, dropped = self.count.prune(bins, found, signal)
-        known = 0 if dropped else known
-        rest = self.count.needed(bins, found, signal)
-        found, known = rest, known if rest is found else 0
+        pruned, dropped = self.count.prune(bins, found, signal)
+        rest = self.count.needed(bins, pruned, signal)
+        # After a search in vain, what the fit lacks makes those that are there look weak.
+        if not (known and found is fit and rest.residual_energy > _LACKS * found.residual_energy):
+            known = 0 if dropped or rest is not pruned else known
+            found = rest
         excess = self._noise.excess(found.residual_energy, signal)
         worth = excess < CRITERIA.half_confidence / 2 and found.residual_energy < _GAIN * fit.residual_energy
         self._pause_ns = 0 if worth else min(max(2 * self._pause_ns, _AGAIN_NS), _SELDOM_NS)

@@ -25,6 +25,7 @@ from touchd.localization.palm import (
     SIZE,
     STAYS_NS,
     UNLIKE,
+    UNLIKE_ALONE,
     Palm,
 )
 from touchd.localization.spline import Position
@@ -72,8 +73,9 @@ def point(size: float) -> Fit:
         (fit_of({HEEL: 2.0, BALL: 2.0, NEAR: 2.0}, 0.9 * HUGE_SIZE), 0.0, False),
         (fit_of({HEEL: 1.2 * MOMENT_MM2, BALL: 2.0, NEAR: 2.0}, 0.95 * SIZE), BADLY, False),
         (THUMBS, BADLY, True), (THUMBS, WELL, False), (SMALLER, BADLY, False),
-        (fit_of({HEEL: 1.2 * LARGE_MM2}, 1.1 * LARGE_SIZE), BADLY, True),
-        (fit_of({HEEL: 1.2 * LARGE_MM2}, 0.9 * LARGE_SIZE), BADLY, False),
+        (fit_of({HEEL: 1.2 * LARGE_MM2}, 1.1 * LARGE_SIZE), 1.1 * UNLIKE_ALONE, True),
+        (fit_of({HEEL: 1.2 * LARGE_MM2}, 1.1 * LARGE_SIZE), 0.9 * UNLIKE_ALONE, False),
+        (fit_of({HEEL: 1.2 * LARGE_MM2}, 0.9 * LARGE_SIZE), 1.1 * UNLIKE_ALONE, False),
         (point(1.1 * POOR_SIZE), 1.1 * POOR, True), (point(0.9 * POOR_SIZE), 1.1 * POOR, False),
         (point(1.1 * POOR_SIZE), 0.9 * POOR, False),
     ],
