@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from datetime import datetime
 from pathlib import Path
 
@@ -14,7 +14,11 @@ import click
 
 from touchd.cli.options import PATH, NumberRange
 from touchd.client import Subscriber
+from touchd.errors import BusTimeout
 from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent, TruthEvent, encode
+
+_SILENT_S = 5.0
+"""A daemon that is not heard for so long may never be."""
 
 
 @click.command()
@@ -50,17 +54,29 @@ def command(
     A touch prints a line when it goes down, moves and goes up. The bus keeps the last message of each topic, so the
     first line can be older than the command.
     """
-    wanted = (*topics, "health") if until_stopped and "health" not in topics else topics
+    # A daemon says each second how it is: where none does, somebody waits in vain.
+    health = until_stopped or timeout_s is None
+    wanted = (*topics, "health") if health and "health" not in topics else topics
     with Subscriber(address, wanted, timeout_s, server_key, client_key, max_age_s=None) as events, _ending_quietly():
         try:
-            _print_all(events, topics, as_json, count, until_stopped)
+            heard = _first(events) if timeout_s is None else events
+            _print_all(heard, topics, as_json, count, until_stopped)
         finally:
             if lost := sum(events.lost[topic] for topic in topics):
                 click.echo(f"{lost} message{'s' if lost > 1 else ''} lost on the way (a jump of seq)", err=True)
 
 
+def _first(events: Subscriber[Event]) -> Iterator[Event]:
+    """Yield all events; tell once if there is none for a while, as of a daemon that does not know the key."""
+    try:
+        yield events.receive(_SILENT_S)
+    except BusTimeout as error:
+        click.echo(f"touchd: {error}; still listening", err=True)
+    yield from events
+
+
 def _print_all(
-    events: Subscriber[Event], topics: tuple[str, ...], as_json: bool, count: int | None, until_stopped: bool
+    events: Iterable[Event], topics: tuple[str, ...], as_json: bool, count: int | None, until_stopped: bool
 ) -> None:
     printed = 0
     for event in events:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # `hold` comes before all that takes its time to import
     from touchd.service.preroll import PreRoll
 
 _HELD = (signal.SIGHUP, signal.SIGUSR1)
+_AGAIN_S = 0.02
 
 
 def stops() -> list[signal.Signals]:
@@ -50,6 +51,15 @@ def stopping() -> Iterator[threading.Event]:
         yield stop
 
 
+def _imports(frame: FrameType | None) -> bool:
+    """Return whether a module is being imported."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
 class Terminated(BaseException):
     """SIGTERM or SIGHUP has come to a verb without a handler of its own."""
 
@@ -59,10 +69,17 @@ def unwound() -> Iterator[None]:
     """Let SIGTERM and SIGHUP unwind what runs within this context, so that no half of a file stays, and then end it."""
     came: list[int] = []
 
-    def handle(number: int, _frame: FrameType | None) -> None:
+    def handle(number: int, frame: FrameType | None) -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a terminal that goes sends it more than once
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a second one ends the process at once
         came.append(number)
+        signal.signal(signal.SIGALRM, leave)
+        leave(number, frame)
+
+    def leave(_number: int, frame: FrameType | None) -> None:
+        if _imports(frame):  # a module that does without what it imports would go on without the error
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
         raise Terminated
 
     in_main_thread = threading.current_thread() is threading.main_thread()  # others may set no handler
@@ -72,14 +89,15 @@ def unwound() -> Iterator[None]:
         signal.signal(number, handle)
     try:
         yield
-    except BaseException:  # a library in C that is being imported makes an ImportError of it
+    except BaseException:
         if not came:
             raise
-        signal.signal(came[0], signal.SIG_DFL)
-        signal.raise_signal(came[0])
     finally:
         for number in handled:
             signal.signal(number, signal.SIG_DFL)
+        if came:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.raise_signal(came[0])
 
 
 def stop_on_signals(service: Service) -> None:

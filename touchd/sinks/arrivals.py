@@ -30,8 +30,9 @@ _MONITORED = int(
     zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
     | zmq.EVENT_MONITOR_STOPPED
 )  # fmt: skip
-ACCEPTED, DISCONNECTED, _STOPPED = (
-    int(zmq.EVENT_ACCEPTED), int(zmq.EVENT_DISCONNECTED), int(zmq.EVENT_MONITOR_STOPPED)
+ACCEPTED, DISCONNECTED, UNKNOWN_KEY, _STOPPED = (
+    int(zmq.EVENT_ACCEPTED), int(zmq.EVENT_DISCONNECTED), int(zmq.EVENT_HANDSHAKE_FAILED_AUTH),
+    int(zmq.EVENT_MONITOR_STOPPED),
 )  # fmt: skip
 _EVENTS, _POLLIN, _NOBLOCK = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.NOBLOCK)
 _EVENT = struct.Struct("=Hi")  # kind of event, and for both that matter the descriptor

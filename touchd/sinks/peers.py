@@ -20,7 +20,7 @@ from pathlib import Path
 
 import zmq
 
-from touchd.sinks.arrivals import ACCEPTED, DISCONNECTED, Arrivals
+from touchd.sinks.arrivals import ACCEPTED, DISCONNECTED, UNKNOWN_KEY, Arrivals
 from touchd.sinks.authenticator import KEY
 from touchd.sinks.throttle import Throttle
 
@@ -102,7 +102,7 @@ class Peers:
         self._looked_s = self._read_s = clock()
         self._cut_off = Throttle("subscriber cut off")
         self._refused = Throttle("subscriber refused")
-        self._failed = False
+        self._failed = 0  # kind of event
         self._entered = 0  # number of the last connection that `poll` took in
         self._arrivals = Arrivals(publisher, self._most)
 
@@ -192,7 +192,7 @@ class Peers:
             elif kind == DISCONNECTED:
                 self._leave(descriptor, number)
             else:  # the disconnection of the same connection follows
-                self._failed = True
+                self._failed = kind
             if self._clock() > until_s:
                 break
 
@@ -214,11 +214,13 @@ class Peers:
         self._peers[descriptor] = newcomer
 
     def _leave(self, descriptor: int, number: int) -> None:
-        failed, self._failed = self._failed, False
+        failed, self._failed = self._failed, 0
         peer = self._peers.get(descriptor)
         if peer is None or peer.number != number:
             return
         self._forget(descriptor)
+        if failed == UNKNOWN_KEY:
+            return  # the authenticator has told
         if failed:
             self._refused.warn(peer=peer.name, reason="its keys do not fit, or it has none")
         elif not peer.subscribed:  # libzmq itself ends a connection that sends too long a message, or no ZMTP

@@ -8,6 +8,7 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from tests.processes import PATIENCE_S, end, started
 from touchd.event import Contact, TouchEvent
@@ -64,3 +65,14 @@ def test_reader_leaves(sink: ZeromqSink) -> None:
         assert process.wait(PATIENCE_S) == 0
         assert process.stderr.read() == ""
         os.dup2(os.open(os.devnull, os.O_RDONLY), out)  # so that it can be closed
+
+
+def test_nothing_comes(tmp_path: Path) -> None:
+    """Of a daemon that is not there, or does not know the key, one line on the standard error says what to check."""
+    with started("listen", f"ipc://{tmp_path}/bus") as process:
+        assert process.stderr is not None
+        said = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        assert end(process) == (0, "", "")
+    assert "no 'touch' or 'health' message" in said
+    assert said.endswith("whether it asks for keys; still listening\n")

@@ -210,11 +210,16 @@ def test_closing_with_keys_takes_no_time(bus: Bus, keys: Path, monkeypatch: pyte
 
 
 def test_who_is_refused_is_logged(bus: Bus, keys: Path) -> None:
-    """The log names the address of a client whose key is unknown, once a second at most."""
+    """The log names the address of a client whose key is unknown, once a second at most, and no other reason."""
     sink = bus(curve_clients=keys.parent / "clients")
     with capture_logs() as logs, subscriber(sink, keys, "stranger") as stranger:
         wait_for_refusal(sink, stranger, logs)
-    assert [line["peer"].partition(":")[0] for line in logs if line["event"] == "subscriber refused"] == ["127.0.0.1"]
+        for _ in range(3):  # its connection ends
+            assert gets_nothing(stranger)
+            sink.poll()
+    refused = [line for line in logs if line["event"] == "subscriber refused"]
+    assert [line["peer"].partition(":")[0] for line in refused] == ["127.0.0.1"]
+    assert [line["reason"] for line in refused] == ["its key is unknown"]
 
 
 def test_without_a_folder_of_clients_the_servers_key_is_enough_and_needed(bus: Bus, keys: Path) -> None:

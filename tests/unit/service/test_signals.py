@@ -45,6 +45,33 @@ def test_nothing_stays(tmp_path: Path, number: signal.Signals, imports: str) -> 
     assert list(tmp_path.iterdir()) == []
 
 
+CARELESS = """
+import signal, time
+print("ready", flush=True)
+try:
+    while signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        time.sleep(0.01)
+except BaseException:
+    pass
+"""
+
+
+def test_a_module_that_is_imported_goes_without(tmp_path: Path) -> None:
+    """One that does without what it fails to import once did without the signal, too, and the verb went on."""
+    (tmp_path / "careless.py").write_text(CARELESS)
+    verb = (
+        "import signal; from touchd.service.signals import unwound\nwith unwound():\n  import careless; signal.pause()"
+    )
+    env = environment() | {"PYTHONPATH": f"{tmp_path}:{ROOT}"}
+    with subprocess.Popen(
+        [sys.executable, "-c", verb], stdout=subprocess.PIPE, text=True, cwd=ROOT, env=env
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.terminate()
+        assert process.wait(PATIENCE_S) == -signal.SIGTERM
+
+
 @pytest.mark.parametrize(("terminal", "does"), [(True, "stop"), (False, "reload")])
 def test_hangup(monkeypatch: pytest.MonkeyPatch, terminal: bool, does: str) -> None:
     """A daemon whose terminal closes lifts its contacts and says that it stops; a service reads its configuration."""
