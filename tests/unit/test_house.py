@@ -16,7 +16,7 @@ from touchd.cli.main import EXTRAS, VERBS
 
 PACKAGE = Path(__file__).resolve().parents[2] / "touchd"
 FLOORS = (
-    ("errors", "files", "frame", "touch", "event", "outcome", "keypad", "jobs"),
+    ("errors", "files", "child", "frame", "touch", "event", "outcome", "keypad", "jobs"),
     ("config", "recording"),
     ("detection", "tracking", "sinks", "twin", "audio"),
     ("localization", "client"),
@@ -259,3 +259,9 @@ def test_a_missing_package_is_explained() -> None:
     alone = {"h5py"}  # for a script of the lab, of the extra `dev`
     assert packages(everything) - listed() - alone <= {DISTRIBUTIONS.get(name, name) for name in EXTRAS}
     assert {name: extra for name, extra in EXTRAS.items() if DISTRIBUTIONS.get(name, name) not in listed(extra)} == {}
+
+
+def test_touchd_starts_itself_in_one_way() -> None:
+    """In the Debian package, only the launcher knows where touchd lies: `-m touchd` would not find it."""
+    at = {name for name, path in NAMES.items() if "sys.executable" in path.read_text()}
+    assert at == {"child", "cli.main", "lab.benchmark.steady"}, "one says it in a message, one starts another checkout"
