@@ -42,7 +42,7 @@ if [ "$("$python" -c 'import platform, sys; print(sys.version_info.minor, platfo
     # As this Python links, but with no path to its own libraries, such as pyenv's; a cached wheel may have one.
     ldshared=$("$python" -c 'import sysconfig; print(*(flag for flag in sysconfig.get_config_var("LDSHARED").split()
                                                        if "-rpath" not in flag))')
-    LDSHARED=$ldshared pip wheel --no-deps --no-binary pyalsaaudio --constraint requirements.lock --wheel-dir "$work" \
+    LDSHARED=$ldshared pip wheel --no-deps --no-cache-dir --constraint requirements.lock --wheel-dir "$work" \
         pyalsaaudio
     platforms+=(--platform "linux_$machine" --find-links "$work")
     extras+=,audio
