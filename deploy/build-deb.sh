@@ -39,7 +39,11 @@ wheel=("$work"/touchd-*.whl)
 extras=calibrate,web
 # pyalsaaudio has no wheel: it is compiled here, for this Python on this computer alone.
 if [ "$("$python" -c 'import platform, sys; print(sys.version_info.minor, platform.machine())')" = "$minor $machine" ]; then
-    pip wheel --no-deps --constraint requirements.lock --wheel-dir "$work" pyalsaaudio
+    # As this Python links, but with no path to its own libraries, such as pyenv's; a cached wheel may have one.
+    ldshared=$("$python" -c 'import sysconfig; print(*(flag for flag in sysconfig.get_config_var("LDSHARED").split()
+                                                       if "-rpath" not in flag))')
+    LDSHARED=$ldshared pip wheel --no-deps --no-cache-dir --constraint requirements.lock --wheel-dir "$work" \
+        pyalsaaudio
     platforms+=(--platform "linux_$machine" --find-links "$work")
     extras+=,audio
 else
@@ -65,13 +69,12 @@ install -m 644 deploy/touchd{,-input,-tuio,-web,-wizard,-mapping}.service deploy
 install -D -m 644 deploy/60-touchd.rules "$stage/lib/udev/rules.d/60-touchd.rules"
 install -D -m 644 deploy/sysusers.conf "$stage/usr/lib/sysusers.d/touchd.conf"
 install -D -m 644 deploy/tmpfiles.conf "$stage/usr/lib/tmpfiles.d/touchd.conf"
-install -D -m 644 deploy/touchd.toml "$stage/etc/touchd/touchd.toml"
 
 # --- documentation
 doc=$stage/usr/share/doc/touchd
 install -d "$doc/examples" "$stage/usr/share/lintian/overrides"
 install -m 644 docs/*.md "$doc"
-install -m 644 deploy/realtime.conf deploy/audio.conf docs/examples/listen.* docs/examples/pipe_daemon.py "$doc/examples"
+install -m 644 deploy/realtime.conf deploy/audio.conf deploy/touchd.toml docs/examples/listen.* docs/examples/pipe_daemon.py "$doc/examples"
 version=$(sed -n 's/^__version__ = "\(.*\)"/\1/p' touchd/__init__.py)
 maintainer=$(sed -n 's/^Maintainer: //p' deploy/debian/control.in)
 gzip -9n > "$doc/changelog.gz" <<CHANGES
@@ -90,14 +93,13 @@ install -m 644 deploy/debian/lintian-overrides "$stage/usr/share/lintian/overrid
 # --- the package
 install -d "$stage/DEBIAN"
 install -m 755 deploy/debian/postinst deploy/debian/prerm deploy/debian/postrm "$stage/DEBIAN"
-echo /etc/touchd/touchd.toml > "$stage/DEBIAN/conffiles"
 [ "$debian" = 12 ] || version=$version+deb$debian
 sed -e "s/@VERSION@/$version/; s/@ARCHITECTURE@/$architecture/; s/@PYTHON@/3.$minor/" \
     -e "s/@NEXT_PYTHON@/3.$((minor + 1))/; s/@SIZE@/$(du -sk --exclude=DEBIAN "$stage" | cut -f1)/" \
     deploy/debian/control.in > "$stage/DEBIAN/control"
 (cd "$stage" && find . -type f -not -path './DEBIAN/*' -printf '%P\0' | LC_ALL=C sort -z |
     xargs -0 md5sum > DEBIAN/md5sums)
-chmod 644 "$stage"/DEBIAN/{control,conffiles,md5sums}
+chmod 644 "$stage"/DEBIAN/{control,md5sums}
 mkdir -p dist
 package=dist/touchd_${version}_$architecture.deb
 # Level 1 takes a tenth of the time of the default, for a file that is a tenth larger.

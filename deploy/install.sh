@@ -39,7 +39,10 @@ uninstall() {
     for service in $services $helpers; do rm -f "$units/$service"; done
     rm -f "$rules" "$sysusers" "$tmpfiles" "$link"
     if [ "$1" = purge ]; then
-        rm -rf "$root/etc/touchd" "$root/var/lib/private/touchd" "$root/var/lib/touchd"
+        rm -rf "$root/var/lib/private/touchd" "$root/var/lib/touchd"
+        # Keys stay, wherever they are: other computers may know them.
+        rm -f "$config" "$config.default"
+        [ ! -d "$root/etc/touchd" ] || rmdir --ignore-fail-on-non-empty "$root/etc/touchd"
     fi
     if running; then
         systemctl daemon-reload
@@ -85,8 +88,7 @@ install_all() {
     install -m 644 deploy/sysusers.conf "$sysusers"
     install -m 644 deploy/tmpfiles.conf "$tmpfiles"
     ln -sfn "$prefix/bin/touchd" "$link"
-    # What an administrator has written stays; the defaults of this version lie beside it.
-    [ -e "$config" ] || install -m 644 deploy/touchd.toml "$config"
+    # Beside what an administrator may write, the defaults of this version. A copy of them would keep them for good.
     install -m 644 deploy/touchd.toml "$config.default"
 
     if running; then

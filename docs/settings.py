@@ -11,7 +11,7 @@ _HEAD = """\
 <!-- Generated from touchd/config/schema.py: do not edit. -->
 
 Settings, with their defaults in brackets. `touchd config` prints those in effect, with ranges;
-`touchd config --default` a file to start from. touchd reads `--config` or `/etc/touchd/touchd.toml`; variables such as
+`touchd config --default` the defaults. touchd reads `--config` or `/etc/touchd/touchd.toml`; variables such as
 `TOUCHD_DEVICE__RATE_HZ=500` win over the file, options over both. In a variable, commas part a list. An empty text
 unsets a path. An unknown key is an error; one of an earlier version is ignored, with a warning.
 """

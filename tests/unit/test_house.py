@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
 
+from touchd.cli.main import EXTRAS, VERBS
+
 PACKAGE = Path(__file__).resolve().parents[2] / "touchd"
 FLOORS = (
-    ("errors", "files", "frame", "touch", "event", "outcome", "keypad", "jobs"),
+    ("errors", "files", "child", "frame", "touch", "event", "outcome", "keypad", "jobs"),
     ("config", "recording"),
     ("detection", "tracking", "sinks", "twin", "audio"),
     ("localization", "client"),
@@ -59,14 +63,31 @@ def files() -> Iterator[tuple[str, Path]]:
 NAMES = dict(files())
 
 
-STATEMENT = re.compile(r"^[ \t]*((?:from \S+ )?import (?:\([^)]*\)|[^\n(]+))", re.MULTILINE)
+STATEMENT = re.compile(r"^([ \t]*)((?:from \S+ )?import (?:\([^)]*\)|[^\n(]+))", re.MULTILINE)
 """An import, found by its text: whole files take seconds to parse."""
 
 
 @cache
 def statements(path: Path) -> list[ast.stmt]:
     """A file's imports, wherever in it."""
-    return [ast.parse(text).body[0] for text in STATEMENT.findall(path.read_text())]
+    return [ast.parse(text).body[0] for _, text in STATEMENT.findall(path.read_text())]
+
+
+@cache
+def at_once(path: Path) -> list[ast.stmt]:
+    """A file's imports outside its functions."""
+    return [ast.parse(text).body[0] for indent, text in STATEMENT.findall(path.read_text()) if not indent]
+
+
+def modules(nodes: list[ast.stmt]) -> set[str]:
+    """The modules that imports name, and what they take from them, which may be modules."""
+    found: set[str] = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
 
 
 @cache
@@ -178,10 +199,69 @@ def test_hardware_and_heavy_libraries_have_one_home(library: str, home: str) -> 
     """The daemon starts without what it does not use."""
     at = set()
     for name, path in NAMES.items():
-        for node in statements(path):
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            if any(each.split(".")[0] == library for each in names):
-                at.add(name)
+        if library in map(room, modules(statements(path))):
+            at.add(name)
     assert at
     assert {name for name in at if not name.startswith((home, "lab"))} == set()
+
+
+PROJECT = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
+DISTRIBUTIONS = {
+    "alsaaudio": "pyalsaaudio", "annotated_types": "pydantic", "libusb_package": "libusb-package",
+    "pydantic_core": "pydantic", "pydantic_settings": "pydantic-settings", "tornado": "distributed", "usb": "pyusb",
+    "zmq": "pyzmq",
+}  # fmt: skip
+"""What brings a package of another name: itself, or what depends on it."""
+VERB_EXTRAS = {
+    "audio-check": ("calibrate", "audio"), "benchmark": ("calibrate",), "calibrate": ("calibrate",),
+    "draw": ("calibrate",), "evaluate": ("calibrate",), "plan": ("calibrate",), "quantise": ("train",),
+    "reproduce": ("train",), "train": ("train",), "web": ("web",), "wizard": ("calibrate",),
+}  # fmt: skip
+"""What a verb needs beside the base; the Debian package has all but `train`."""
+
+
+def packages(found: set[str]) -> set[str]:
+    """The distributions that have modules which are neither Python's nor touchd's."""
+    tops = {room(name) for name in found} - sys.stdlib_module_names - {"touchd"}
+    return {DISTRIBUTIONS.get(top, top) for top in tops}
+
+
+def listed(extra: str = "") -> set[str]:
+    """The distributions that pyproject.toml names for an extra, or for all."""
+    lines = PROJECT["optional-dependencies"][extra] if extra else PROJECT["dependencies"]
+    return {re.split("[=>]", line)[0] for line in lines}
+
+
+def needed(verb: str) -> set[str]:
+    """The distributions that a verb imports: by its module, anywhere in it, and by what that imports at once."""
+    first = f"cli.{verb.replace('-', '_')}"
+    seen, waiting, found = set(), [first], set()
+    while waiting:
+        name = waiting.pop()
+        if name in NAMES and name not in seen:
+            seen.add(name)
+            named = modules(statements(NAMES[name]) if name == first else at_once(NAMES[name]))
+            found |= packages(named)
+            parts = [each.split(".")[1:] for each in named if room(each) == "touchd"]
+            waiting += [".".join(each[: n + 1]) for each in parts for n in range(len(each))]
+    return found
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_verb_finds_its_packages(verb: str) -> None:
+    """An installation with the extras that a verb needs, such as the Debian package, has all that it imports."""
+    assert needed(verb) <= listed().union(*map(listed, VERB_EXTRAS.get(verb, ())))
+
+
+def test_a_missing_package_is_explained() -> None:
+    """Whatever is imported anywhere comes with the base, or the command line says with which extra."""
+    everything = {name for path in NAMES.values() for name in modules(statements(path))}
+    alone = {"h5py"}  # for a script of the lab, of the extra `dev`
+    assert packages(everything) - listed() - alone <= {DISTRIBUTIONS.get(name, name) for name in EXTRAS}
+    assert {name: extra for name, extra in EXTRAS.items() if DISTRIBUTIONS.get(name, name) not in listed(extra)} == {}
+
+
+def test_touchd_starts_itself_in_one_way() -> None:
+    """In the Debian package, only the launcher knows where touchd lies: `-m touchd` would not find it."""
+    at = {name for name, path in NAMES.items() if "sys.executable" in path.read_text()}
+    assert at == {"child", "cli.main", "lab.benchmark.steady"}, "one says it in a message, one starts another checkout"

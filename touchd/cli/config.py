@@ -15,7 +15,7 @@ from touchd.sinks.endpoint import refuse_insecure
 
 @click.command()
 @config_option
-@click.option("--default", is_flag=True, help="Print the defaults, as a file to start from.")
+@click.option("--default", is_flag=True, help="Print the defaults, to copy keys from.")
 def command(config: Path | None, default: bool) -> None:
     """Print the effective configuration as TOML: every key with its value, default, range and meaning.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from typing import Any
 import click
 from msgspec.structs import asdict
 
+from touchd.child import verb
 from touchd.cli.listen import describe
 from touchd.cli.options import PATH, parse_speed
 from touchd.client import Subscriber
@@ -83,7 +83,7 @@ def _received(recording: Path, speed: float, model: Path) -> Iterator[Event]:
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-"))
         address = f"ipc://{folder}/bus"
-        replay = [sys.executable, "-m", "touchd", "--replay", str(recording), "--bind", address, "--model", str(model)]
+        replay = verb("--replay", str(recording), "--bind", address, "--model", str(model))
         replay += ["--speed", "max" if speed == math.inf else str(speed), "--await-subscriber", str(_PATIENCE_S)]
         complaints = stack.enter_context(tempfile.TemporaryFile("w+"))
         # It runs this program, with file names as its only input.

@@ -51,9 +51,9 @@ VERBS = {
     "web": "Look at the plate in a browser.",
 }
 EXTRAS = {"torch": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
-          "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
-          "nidaqmx": "ni", "alsaaudio": "audio", "starlette": "web", "uvicorn": "web", "websockets": "web",
-          }  # fmt: skip
+          "threadpoolctl": "calibrate", "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate",
+          "jinja2": "calibrate", "nidaqmx": "ni", "alsaaudio": "audio", "starlette": "web", "uvicorn": "web",
+          "websockets": "web"}  # fmt: skip
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 

@@ -52,6 +52,7 @@ def command(
     from touchd.lab.reproduction.run import Scale, reproduce
     from touchd.lab.reproduction.sets import check_touches
     from touchd.recording.format import read
+    from touchd.training import train_network  # noqa: F401 - its jobs would miss PyTorch only after minutes
     from touchd.twin import cache as kept
 
     check_output(output, replace=force)

@@ -32,6 +32,7 @@ from distributed.security import Security
 from tornado.iostream import IOStream, StreamClosedError
 from tornado.tcpclient import TCPClient
 
+from touchd.child import python
 from touchd.errors import ClusterError, JobError, TouchdError
 from touchd.jobs.job import ONE_THREAD, Ended, Task, perform
 
@@ -182,10 +183,8 @@ async def connected_here(workers: int) -> AsyncIterator[Client]:
 
 def _worker(scheduler: str, folder: str) -> subprocess.Popen[bytes]:
     """Start a worker process beyond the reach of Ctrl-C, with the modules that this process can import."""
-    path = os.pathsep.join(part or os.getcwd() for part in sys.path)
     process = subprocess.Popen(  # noqa: S603 - this very Python
-        [sys.executable, "-P", "-c", WORKER, scheduler, folder], env=os.environ | ONE_THREAD | {"PYTHONPATH": path},
-        stdin=subprocess.PIPE, start_new_session=True,
+        python(WORKER, scheduler, folder), env=os.environ | ONE_THREAD, stdin=subprocess.PIPE, start_new_session=True,
     )  # fmt: skip
     assert process.stdin is not None
     process.stdin.write(_Backend.secret)

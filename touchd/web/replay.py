@@ -13,6 +13,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
+from touchd.child import python
 from touchd.web.site import Site, running
 
 TOPIC = "replay"
@@ -67,7 +68,7 @@ class Replay:
         try:
             code = "from touchd.web.replayed import main; main(*sys.argv[1:])"
             config = str(self._site.config) if self._site.config else ""
-            async with running(code, str(self._recording), str(self._folder), config) as process:
+            async with running(python(code, str(self._recording), str(self._folder), config)) as process:
                 assert process.stdout is not None
                 assert process.stderr is not None
                 async for line in process.stdout:

@@ -8,13 +8,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import sys
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from touchd.calibration.wizard import SERVICE_SOCKET
+from touchd.child import verb
 from touchd.web.guards import Access
 from touchd.web.hub import Hub
 
@@ -54,7 +54,7 @@ class Site:
     ) -> contextlib.AbstractAsyncContextManager[asyncio.subprocess.Process]:
         """Run a verb, with this process's configuration; see `running`."""
         config = ["--config", str(self.config)] if self.config else []
-        return running("from touchd.__main__ import run; run()", *config, *arguments, **variables)
+        return running(verb(*config, *arguments), **variables)
 
     async def output(self, *arguments: str, patience_s: float) -> str:
         """Run a verb to its end, and return all that it printed."""
@@ -67,13 +67,11 @@ class Site:
 
 
 @contextlib.asynccontextmanager
-async def running(code: str, *arguments: str, **variables: str) -> AsyncIterator[asyncio.subprocess.Process]:
-    """Run code with this process's packages, and variables in its environment.
+async def running(line: list[str], **variables: str) -> AsyncIterator[asyncio.subprocess.Process]:
+    """Run a command line of `touchd.child`, with `variables` in its environment.
 
     The end of the block ends the process, by an error too.
     """
-    # As it was started, from a clone, a virtual environment or the Debian package: the paths say where all lies.
-    line = [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}", *arguments]
     process = await asyncio.create_subprocess_exec(
         *line, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE, env=os.environ | _QUIET | variables, limit=MOST_LINE_BYTES,

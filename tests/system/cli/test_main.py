@@ -27,6 +27,7 @@ def run(program: str, *arguments: object) -> Ended:
     ("verb", "package", "extra"),
     [
         ("train", "torch", "train"),
+        ("reproduce", "torch", "train"),
         ("train", "rich", "calibrate"),
         ("train", "scipy", "calibrate"),
         ("draw", "matplotlib", "calibrate"),

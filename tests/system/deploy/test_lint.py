@@ -57,6 +57,13 @@ def test_a_wrong_key_in_the_unit_would_be_found(tmp_path: Path) -> None:
     assert "ProtectHouse" in output_of(analyze, "verify", "--man=no", wrong, code=None)
 
 
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_a_unit_runs_what_every_system_has(unit: Path) -> None:
+    """/bin/kill, for example, is of procps, which a small system lacks and the package does not ask for."""
+    programs = set(re.findall(r"(?m)^Exec\w+=[-+@:!]*(\S+)", unit.read_text()))
+    assert programs <= {"/usr/bin/touchd", "/bin/sh", "/bin/systemctl", "/bin/udevadm"}
+
+
 def exposure(path: Path) -> float:
     analyze = need_tool("systemd-analyze", "systemd")
     said = output_of(analyze, "security", "--offline=true", "--no-pager", path)
@@ -179,6 +186,23 @@ def test_only_recordings_age(tmp_path: Path) -> None:
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_shellcheck_has_nothing_to_say(script: Path) -> None:
     assert output_of(need_tool("shellcheck", "shellcheck"), script) == ""
+
+
+def test_an_upgrade_asks_nothing() -> None:
+    """dpkg stops at a file below /etc that was edited, as each kiosk's is, when the package changes it."""
+    said = (DEPLOY / "build-deb.sh").read_text()
+    assert "$stage/etc" not in said
+    assert "conffiles" not in said
+
+
+def test_removal_disables_the_units_without_systemd(tmp_path: Path) -> None:
+    """Where an image is built, systemd does not run: a link to a unit that is gone would stay."""
+    for name in ("systemctl", "py3clean"):
+        (tmp_path / name).write_text(f'#!/bin/sh\necho {name} "$@"\n')
+        (tmp_path / name).chmod(0o755)
+    said = output_of("env", f"PATH={tmp_path}:/usr/bin:/bin", "sh", DEPLOY / "debian/prerm", "remove")
+    names = {unit.name for unit in UNITS} - {"touchd-mapping.service"} | {"touchd-mapping.path"}
+    assert names <= set(said.splitlines()[0].split())
 
 
 # -- manual --------------------------------------------------------------------------------------------

@@ -216,6 +216,7 @@ modprobe virtio_gpu
 say package
 dpkg --install touchd_*.deb
 found installed $?
+touchd config --default > /etc/touchd/touchd.toml
 sed -i 's/^screen_mm = \[\]$/screen_mm = [0.0, 0.0, 200.0, 200.0]/' /etc/touchd/touchd.toml
 # A browser that starts leaves an emulated processor nothing for others: bus and bridge come first.
 mkdir -p /run/systemd/system/touchd-input.service.d

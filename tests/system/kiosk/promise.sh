@@ -27,6 +27,7 @@ person() {
 first_start() {
     dpkg --install touchd_*.deb
     found "$1-installed" $?
+    touchd config --default > /etc/touchd/touchd.toml
     sed -i -e 's/^rate_hz = 125$/rate_hz = 25/' -e 's/^device = ""$/device = "hw:CARD=Loopback,DEV=0"/' \
         -e 's/^sample_rate_hz = 192000$/sample_rate_hz = 48000/' -e 's/^band_hz = .*$/band_hz = [8000.0, 22000.0]/' \
         -e 's/^loopback = 0$/loopback = 5/' /etc/touchd/touchd.toml

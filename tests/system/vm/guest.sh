@@ -57,6 +57,7 @@ modprobe dummy_hcd
 say package
 dpkg --install touchd_*.deb
 found installed $?
+touchd config --default > /etc/touchd/touchd.toml
 # An emulated processor is slow: fewer frames, all else as shipped.
 sed -i 's/^rate_hz = 125$/rate_hz = 40/' /etc/touchd/touchd.toml
 # The gadget plays the plate of the shipped model.

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import threading
 from collections import deque
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 
 from touchd.calibration.wizard.frames import Progress, Stopped
 from touchd.calibration.wizard.state import State
+from touchd.child import verb
 from touchd.errors import CalibrationError, ModelMissing, PlatePoor, TrainingError
 from touchd.localization.model_file import digest, install, previous_path
 from touchd.service.control import take_model
@@ -56,12 +56,11 @@ def train(state: State, stop: threading.Event, progress: Progress) -> dict[str, 
 
 def _run(asked: list[str], state: State, stop: threading.Event, progress: Progress) -> tuple[int, dict[str, Any], str]:
     """Run a verb that says its progress and its result as JSON lines; return its status, result and last other line."""
-    start = f"import sys; sys.path[:] = {sys.path!r}; from touchd.__main__ import run; run()"
     result: dict[str, Any] = {}
     said: deque[str] = deque(maxlen=LOG_LINES)
     last = ""
     with subprocess.Popen(  # noqa: S603 - touchd itself
-        [sys.executable, "-c", start, *asked], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+        verb(*asked), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, env=os.environ | _QUIET, text=True, errors="replace",
     ) as child:  # fmt: skip
         assert child.stdout is not None

@@ -175,7 +175,7 @@ def _run(
     try:
         done = subprocess.run(  # noqa: S603 - this interpreter on this package's script
             [sys.executable, "-P", steady_child.__file__, json.dumps(task)], check=False, capture_output=True,
-            text=True, env={**os.environ, "PYTHONPATH": str(tree)},
+            text=True, env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tree), *sys.path])},
         )  # fmt: skip
     finally:
         stop.set()
