@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -131,6 +132,22 @@ def check_plate_file(content: dict[str, Any], where: str = "PLATE.toml") -> Plat
     if wrong := [*_check_material(said.plate), *_check_lengths(said)] or [*_check_places(said)]:
         raise _refused(wrong, where)
     return said
+
+
+def to_toml(tables: dict[str, Any]) -> str:
+    """Return tables of numbers, texts, lists and one table within, and lists of such, as PLATE.toml has them."""
+    lines: list[str] = []
+    several = [(f"[[{name}]]", each) for name, value in tables.items() if isinstance(value, list) for each in value]
+    for name, table in [(f"[{name}]", value) for name, value in tables.items() if isinstance(value, dict)] + several:
+        lines.append(name)
+        for key, value in table.items():
+            if isinstance(value, dict):
+                inner = ", ".join(f"{side} = {json.dumps(held)}" for side, held in value.items())
+                lines.append(f"{key} = {{ {inner} }}")
+            else:
+                lines.append(f"{key} = {json.dumps(value)}")
+        lines.append("")
+    return "\n".join(lines)
 
 
 Mistake = tuple[str, str, str]

@@ -16,12 +16,13 @@ import structlog
 
 from touchd.calibration.error_map import ErrorMap
 from touchd.calibration.place_correction import Widths
-from touchd.calibration.plate_file import PlateFile, check_plate_file
+from touchd.calibration.plate_file import PlateFile, check_plate_file, to_toml
 from touchd.calibration.taps import ORIENTATIONS, refine, taps_of, told_by
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
-from touchd.calibration.wizard.frames import Tapped, Tapper, frames_until, meta_of, refuse_keypad
+from touchd.calibration.wizard.frames import frames_until, meta_of, refuse_keypad
 from touchd.calibration.wizard.kept import Known, read_kept
-from touchd.errors import OutputError, PlateFileInvalid, TouchdError
+from touchd.calibration.wizard.tapper import Tapped, Tapper
+from touchd.errors import CalibrationError, OutputError, PlateFileInvalid, TouchdError
 from touchd.files import replacing, writing
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
 from touchd.recording.data import Meta, Recording
@@ -31,7 +32,8 @@ from touchd.service.frame_feed import DaemonSource
 log = structlog.get_logger()
 NOTHING = Known().model_dump()
 _FLEETING = frozenset({"share", "note", "log"})
-_OF_TAPS = ("taps", "again", "next", "target_mm", "last", "told", "expected", "compared")
+_OF_FIT = ("result", "target_mm", "last", "told", "expected", "compared")
+_OF_TAPS = ("taps", "again", "next")
 _LASTING = ("plate", "mapping", "training", "trained", "untrainable", "runs", "before")
 
 LEAST_TO_TELL = 3
@@ -109,17 +111,29 @@ class State:
             return self.said().described() != plate
         return True
 
+    def differs(self, tables: dict[str, Any]) -> bool:
+        """Return whether these measures say anything else than those that are saved."""
+        new = check_plate_file(tables, "measures")
+        with contextlib.suppress(PlateFileInvalid):
+            return self.said() != new
+        return True
+
     def set_plate(self, tables: dict[str, Any]) -> None:
         """Take what a person measured; PlateFileInvalid says what is wrong with it.
 
-        Discard taps if size, thickness or material change: their labels are crosses on the drawing from before.
+        Discard the fit if any measure changes: its model is of the plate as it was measured before. Discard taps if
+        size, thickness or material change: their labels are crosses on the drawing from before.
         """
         said = check_plate_file(tables, "measures").model_dump(mode="json", exclude_unset=True, exclude_none=True)
-        dropped = {name: NOTHING[name] for name in _OF_TAPS} if self.is_another(tables) else {}
+        differs, another = self.differs(tables), self.is_another(tables)
+        dropped = (_OF_FIT if differs else ()) + (_OF_TAPS if another else ())
         with replacing(self.plate_file, mode=0o600) as file:
             file.write(to_toml(said).encode())
-        self.set(plate=said, problem="", **dropped)
-        if dropped:  # else a tap may be on its way: on disk, and not in the state
+        self.set(plate=said, problem="", **{name: NOTHING[name] for name in dropped})
+        if differs:
+            with writing(self.model):
+                self.model.unlink(missing_ok=True)
+        if another:  # else a tap may be on its way: on disk, and not in the state
             self.tidy()
 
     def begin_again(self) -> None:
@@ -142,29 +156,15 @@ class State:
                     file.unlink()
 
 
-def to_toml(tables: dict[str, Any]) -> str:
-    """Return tables of numbers, texts, lists and one table within, and lists of such, as PLATE.toml has them."""
-    lines: list[str] = []
-    several = [(f"[[{name}]]", each) for name, value in tables.items() if isinstance(value, list) for each in value]
-    for name, table in [(f"[{name}]", value) for name, value in tables.items() if isinstance(value, dict)] + several:
-        lines.append(name)
-        for key, value in table.items():
-            if isinstance(value, dict):
-                inner = ", ".join(f"{side} = {json.dumps(held)}" for side, held in value.items())
-                lines.append(f"{key} = {{ {inner} }}")
-            else:
-                lines.append(f"{key} = {json.dumps(value)}")
-        lines.append("")
-    return "\n".join(lines)
-
-
 def collect(state: State, source: DaemonSource, stop: threading.Event) -> None:
     """Take taps until `stop` is set.
 
-    Raises Stopped if `stop` was set; BusError if the daemon has ended; CalibrationError if the plate is a keypad: what
-    is tapped there may be a PIN, and none of it is kept.
+    Raises Stopped if `stop` was set; BusError if the daemon has ended; CalibrationError without a model of these
+    measures, or if the plate is a keypad: what is tapped there may be a PIN, and none of it is kept.
     """
     refuse_keypad(source.description.keypad)
+    if not (state["result"] or {}).get("model"):
+        raise CalibrationError("there is no model of these measures", "", "fit the plate first")
     state.taps.mkdir(mode=0o700, exist_ok=True)
     atlas = load_atlas(atlas_path(state.model))
     tapper = Tapper(atlas)

@@ -112,12 +112,13 @@ class Worker:
     # -- commands ------------------------------------------------------------------------------------
 
     def _measure(self, asked: dict[str, Any]) -> None:
-        if self._state.is_another(asked["plate"]):
-            if self._state["running"] == "fit" and self._state["taps"]:
-                raise CalibrationError("a fit with the taps runs", "", "wait for its end, or stop it first")
-            if self._state["running"] == "taps":  # its crosses are those of the plate before
+        if self._state.differs(asked["plate"]):
+            if self._state["running"] == "fit":  # its verdict would be on the measures before
+                raise CalibrationError("a fit runs", "", "wait for its end, or stop it first")
+            if self._state["running"] == "taps":  # its model and its crosses are those of the measures before
                 self._halt()
         self._state.set_plate(asked["plate"])
+        self._trial.look()
 
     def _undo(self) -> None:
         """Take back the last good tap."""

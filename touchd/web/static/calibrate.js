@@ -96,8 +96,8 @@ export function mount(root, page) {
     }
     root.dataset.step = chosen;
     form.show(plate);
-    drops.hidden = !state.taps.length;
-    say(drops, t.measures.drops(state.taps.length));
+    drops.hidden = !result && !state.taps.length;
+    say(drops, [result && t.measures.drops_fit, state.taps.length && t.measures.drops(state.taps.length)].filter(Boolean).join(' '));
     for (const each of panels) each.hidden = each.dataset.panel !== chosen;
     busy.hidden = !(listening || fitting || taught);
     tapsPanel.hidden = !open.taps || chosen !== 'verdict' && chosen !== 'taps';

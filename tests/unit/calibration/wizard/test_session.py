@@ -20,8 +20,8 @@ from tests.unit.calibration.wizard.test_tapping import Plate as Tapping
 from touchd.calibration.taps import scatter_of
 from touchd.calibration.walk import target_mm
 from touchd.calibration.wizard import state as session
-from touchd.calibration.wizard.frames import Tapped
 from touchd.calibration.wizard.state import State
+from touchd.calibration.wizard.tapper import Tapped
 from touchd.errors import CalibrationError, PlateFileInvalid
 from touchd.frame import Plate
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
@@ -148,9 +148,8 @@ def test_corrected_plate(tmp_path: Path, changed: dict[str, object]) -> None:
         take_measured(state, number)
     state.set(told={"off_mm": 1.0}, compared={})
     state.set_plate(measures(**changed))
-    assert {name: state[name] for name in session._OF_TAPS} == {
-        name: session.NOTHING[name] for name in session._OF_TAPS
-    }
+    dropped = (*session._OF_FIT, *session._OF_TAPS)
+    assert {name: state[name] for name in dropped} == {name: session.NOTHING[name] for name in dropped}
     assert list(state.taps.iterdir()) == []
     take_measured(state, 2)
     assert kept(state.folder) == [2]
@@ -169,6 +168,16 @@ def test_corrected_edge(tmp_path: Path) -> None:
         state.set_plate(measures(width_mm=-1.0))
     take_measured(state, 1)
     assert kept(state.folder) == [0, 1]
+
+
+def test_no_taps_without_a_fit(tmp_path: Path) -> None:
+    """Before a fit, and after one that made no model, taps are refused with what to do."""
+    state = State(tmp_path / "state")
+    feed = cast("Any", SimpleNamespace(description=SimpleNamespace(keypad=False)))
+    for result in (None, {"verdict": "poor", "model": None}):
+        state.set(result=result)
+        with pytest.raises(CalibrationError, match="fit the plate first"):
+            session.collect(state, feed, threading.Event())
 
 
 @pytest.mark.parametrize("scatter_mm", [0.4, 1.4])

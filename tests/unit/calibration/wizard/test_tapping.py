@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from touchd.calibration.wizard.frames import Tapped, Tapper
+from touchd.calibration.wizard.tapper import Tapped, Tapper
 from touchd.frame import Frame
 from touchd.localization.atlas import Atlas
 from touchd.twin.electronics import Digitiser, Electronics

@@ -19,9 +19,10 @@ from hypothesis import strategies as st
 
 from tests.unit.bridges.events import contact, touch
 from touchd.bridges.area import CROSSES, Touched
+from touchd.calibration.plate_file import to_toml
 from touchd.calibration.wizard import worker as worker_module
 from touchd.calibration.wizard.frames import Stopped, keep, take_crosses
-from touchd.calibration.wizard.state import State, to_toml
+from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.worker import ENDING, Worker
 from touchd.cli.main import main
 from touchd.config.load import load
@@ -85,7 +86,7 @@ def test_measures(tmp_path: Path) -> None:
 
 
 def test_measures_while_tapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measures of another plate end the tapping, whose crosses are those of the plate before; others leave it alone."""
+    """Other measures end the tapping, whose model and crosses are those of the measures before; the same do not."""
     begun = threading.Event()
 
     def collect(_state: State, _feed: object, stop: threading.Event) -> None:
@@ -97,29 +98,51 @@ def test_measures_while_tapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(worker_module, "open_feed", lambda _: SimpleNamespace(close=lambda: None))
     worker, state = made(tmp_path)
     worker.answer({"do": "measures", "plate": PLATE})
-    worker.answer({"do": "taps"})
-    begun.wait()
-    for table in (PLATE, PLATE | {"plate": PLATE["plate"] | {"edge": "tape"}}, PLATE | {"plate": {}}):
-        worker.answer({"do": "measures", "plate": table})
-        assert state["running"] == "taps"
-    assert worker.answer({"do": "measures", "plate": PLATE | {"plate": PLATE["plate"] | {"width_mm": 112.0}}})["ok"]
-    assert state["running"] is None
+    for changed in ({"edge": "tape"}, {"width_mm": 112.0}):
+        worker.answer({"do": "taps"})
+        begun.wait()
+        for table in (state["plate"], PLATE | {"plate": {}}):
+            worker.answer({"do": "measures", "plate": table})
+            assert state["running"] == "taps"
+        assert worker.answer({"do": "measures", "plate": PLATE | {"plate": PLATE["plate"] | changed}})["ok"]
+        assert state["running"] is None
 
 
 def test_measures_while_fitting(tmp_path: Path, fits: list[threading.Event]) -> None:
-    """Measures of another plate wait for a fit with taps, which reads them; others do not."""
+    """Other measures wait for a fit, whose verdict is on those that it read; the same are taken."""
     worker, state = made(tmp_path)
     worker.answer({"do": "measures", "plate": PLATE})
-    state.set(taps=[{"number": 0, "chunk": "0000.npz", "target_mm": [20.0, 20.0]}])
     worker.answer({"do": "fit"})
     await_that(lambda: len(fits) == 1)
-    another = PLATE | {"plate": PLATE["plate"] | {"width_mm": 112.0}}
-    assert "stop it first" in worker.answer({"do": "measures", "plate": another})["fix"]
-    assert (len(state["taps"]), state["running"]) == (1, "fit")
+    others = PLATE | {"discs": PLATE["discs"] | {"emitter_mm": [21.0, 50.0]}}
+    assert "stop it first" in worker.answer({"do": "measures", "plate": others})["fix"]
+    assert (state["plate"], state["running"]) == (PLATE, "fit")
     assert worker.answer({"do": "measures", "plate": PLATE}) == {"ok": True}
     worker.answer({"do": "pause"})
-    assert worker.answer({"do": "measures", "plate": another}) == {"ok": True}
-    assert state["taps"] == []
+    assert worker.answer({"do": "measures", "plate": others}) == {"ok": True}
+
+
+@pytest.mark.parametrize("changed", [{"plate": {"width_mm": 140.0}}, {"discs": {"emitter_mm": [21.0, 50.0]}}])
+@pytest.mark.parametrize("tried", [False, True])
+def test_measures_after_a_fit(tmp_path: Path, changed: dict[str, dict[str, Any]], tried: bool) -> None:
+    """Other measures discard the fit: no verdict, no taps, and its model in use is an earlier one. The same do not."""
+    worker, state = made(tmp_path)
+    install(SHIPPED, tmp_path / "model.onnx")
+    worker.answer({"do": "measures", "plate": PLATE})
+    install(SHIPPED.with_name("small.onnx"), state.model)
+    known = {"result": RESULT, "compared": {"new": {}}, "expected": {"mm": [[1.0]]}, "told": {"orientation": ""}}
+    state.set(**known)
+    worker.answer({"do": "try"})
+    if not tried:
+        worker.answer({"do": "take"})
+    said = {name: table | {"rolled": False} if name == "plate" else table for name, table in PLATE.items()}
+    assert worker.answer({"do": "measures", "plate": said}) == {"ok": True}  # as a page says the same
+    assert ({name: state[name] for name in known}, state["runs"]) == (known, "fitted")
+    others = {name: table | changed.get(name, {}) for name, table in PLATE.items()}
+    assert worker.answer({"do": "measures", "plate": others}) == {"ok": True}
+    assert {name: state[name] for name in known} == dict.fromkeys(known)
+    assert state["runs"] == ("earlier" if tried else "before")
+    assert worker.answer({"do": "try"})["ok"] is False
 
 
 def test_toml() -> None:
