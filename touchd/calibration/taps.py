@@ -148,7 +148,7 @@ def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     )  # fmt: skip
     reasons = fit.reasons
     if orientation:
-        reasons = (f"the drawing is {ORIENTATIONS[orientation]}: correct the discs' places in PLATE.toml", *reasons)
+        reasons = (f"the drawing is {ORIENTATIONS[orientation]}: correct the discs' places", *reasons)
     return replace(fit, layout=layout, edges=fit.edges.turned(orientation), undecided=(), reasons=reasons)
 
 
