@@ -16,6 +16,7 @@ from typing import Any
 
 from touchd.bridges.area import LEAST_TOUCHES, Crosses, Mapping, Touched, fit, keys_of
 from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.untouched import check_channels, check_chirp
 from touchd.client import Subscriber
 from touchd.config.edit import set_keys
 from touchd.config.load import load
@@ -88,7 +89,13 @@ def meta_of(source: DaemonSource, said: PlateFile) -> Meta:
 def take_untouched(
     source: DaemonSource, said: PlateFile, path: Path, seconds: float, stop: threading.Event, progress: Progress
 ) -> None:
-    """Write frames that nobody touches to `path`; Stopped if `stop` was set, BusError if the daemon has ended."""
+    """Write frames that nobody touches to `path`.
+
+    Raises Stopped if `stop` was set; BusError if the daemon has ended; PlateMismatch if no fit can follow: channels
+    and receivers differ in number, or the chirp is none for a plate.
+    """
+    check_chirp(source.acquisition, "the daemon's frames")
+    check_channels(source.acquisition.channels, said, "the daemon's frames")
     pipeline = Pipeline(source.acquisition, None, Settings())
     wanted = max(round(seconds * source.description.rate_hz), 1)
     kept: list[Frame] = []
