@@ -41,6 +41,8 @@ FINGER = "finger"
 """What holds it up: something is on the plate."""
 SILENT_S = 3.0
 """A daemon that runs says its health each second."""
+HEALTH_S = 1.5
+"""Long enough to hear it."""
 _LOOK_S = 0.2
 _TAKEN_S = 15.0
 """How long touchd-mapping.service may need."""
@@ -50,12 +52,34 @@ class Stopped(Exception):
     """The job was told to end."""
 
 
-def open_feed(control: Path) -> DaemonSource:
-    """Return the running daemon's frames; BusError without a daemon."""
+def open_feed(control: Path, bus: str | None, stop: threading.Event) -> DaemonSource:
+    """Return the running daemon's frames.
+
+    Raises Stopped if `stop` was set; BusError if no daemon listens at `control`: none runs, or one that publishes on
+    `bus` has another control socket, or none.
+    """
     source = open_daemon(control)
-    if source is None:
-        raise BusError("no daemon runs there", str(control), "start it: systemctl start touchd")
-    return source
+    if source is not None:
+        return source
+    if _publishes(bus, stop):
+        raise BusError(
+            "a daemon runs, but does not listen there", str(control),
+            "set control.socket, the same for the daemon and touchd wizard, and start both again",
+        )  # fmt: skip
+    raise BusError("no daemon runs there", str(control), "start it: systemctl start touchd")
+
+
+def _publishes(bus: str | None, stop: threading.Event) -> bool:
+    """Return whether a daemon says its health on the bus; Stopped if `stop` was set."""
+    until_s = time.monotonic() + HEALTH_S
+    with contextlib.suppress(BusError), Subscriber(bus, "health", max_age_s=None) as events:
+        while time.monotonic() < until_s:
+            if stop.is_set():
+                raise Stopped
+            with contextlib.suppress(BusTimeout):
+                events.receive(_LOOK_S)
+                return True
+    return False
 
 
 def refuse_keypad(keypad: bool) -> None:

@@ -216,14 +216,14 @@ class Worker:
         self._state.set(running=None)
 
     def _with_frames(self, stop: threading.Event, use: Callable[[Any], None]) -> None:
-        """Run `use` on the daemon's frames; while no daemon runs say so, and wait for one."""
+        """Run `use` on the daemon's frames; while no daemon hands out any say why, and wait for one."""
         while not stop.is_set():
             try:
-                with contextlib.closing(open_feed(self._control)) as feed:
+                with contextlib.closing(open_feed(self._control, self._bus, stop)) as feed:
                     self._progress(0.0, "")
                     return use(feed)
             except BusError as error:
-                self._progress(0.0, f"{error.what}: {error.fix}")
+                self._progress(0.0, ": ".join(filter(None, (error.where, error.what, error.fix))))
                 stop.wait(_AGAIN_S)
         raise Stopped
 

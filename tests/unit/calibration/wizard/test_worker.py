@@ -17,7 +17,7 @@ import zmq
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.unit.bridges.events import contact, touch
+from tests.unit.bridges.events import contact, health, touch
 from touchd.bridges.area import CROSSES, Touched
 from touchd.calibration.plate_file import to_toml
 from touchd.calibration.wizard import worker as worker_module
@@ -95,7 +95,7 @@ def test_measures_while_tapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         raise Stopped
 
     monkeypatch.setattr(worker_module, "collect", collect)
-    monkeypatch.setattr(worker_module, "open_feed", lambda _: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(worker_module, "open_feed", lambda *_: SimpleNamespace(close=lambda: None))
     worker, state = made(tmp_path)
     worker.answer({"do": "measures", "plate": PLATE})
     for changed in ({"edge": "tape"}, {"width_mm": 112.0}):
@@ -408,6 +408,20 @@ def test_no_daemon(tmp_path: Path) -> None:
     worker.answer({"do": "measures", "plate": PLATE})
     worker.answer({"do": "untouched"})
     await_that(lambda: "no daemon" in state["note"])
+    worker.answer({"do": "pause"})
+
+
+def test_daemon_without_control_socket(tmp_path: Path, publish: Callable[[str, Event], None]) -> None:
+    """Of a daemon that publishes and does not listen at the control socket, the seconds say what to set."""
+    worker, state = made(tmp_path)
+    worker.answer({"do": "measures", "plate": PLATE})
+    worker.answer({"do": "untouched"})
+
+    def told() -> bool:
+        publish("health", health(t_ns=time.monotonic_ns()))
+        return f"{tmp_path}/no-daemon: a daemon runs, but does not listen there: set control.s" in state["note"]
+
+    await_that(told)
     worker.answer({"do": "pause"})
 
 
