@@ -20,7 +20,7 @@ from touchd.calibration.plate_file import PlateFile, check_plate_file, to_toml
 from touchd.calibration.taps import ORIENTATIONS, refine, taps_of, told_by
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
 from touchd.calibration.wizard.frames import frames_until, meta_of, refuse_keypad
-from touchd.calibration.wizard.kept import Known, read_kept
+from touchd.calibration.wizard.kept import Known, make_folder, read_kept
 from touchd.calibration.wizard.tapper import Tapped, Tapper
 from touchd.errors import CalibrationError, OutputError, PlateFileInvalid, TouchdError
 from touchd.files import replacing, writing
@@ -58,12 +58,7 @@ class State:
         """The trained model."""
         self.taps = folder / "taps"
         """Folder of the taps: a recording in chunks, one for each tap."""
-        try:
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"the folder cannot be made ({error.strerror})", str(folder), "name another one with --folder"
-            ) from error
+        make_folder(folder)
         self._lock = threading.Lock()
         self._known = dict(NOTHING)
         self.version = 0

@@ -22,11 +22,12 @@ from touchd.bridges.area import CROSSES, Touched
 from touchd.calibration.plate_file import to_toml
 from touchd.calibration.wizard import worker as worker_module
 from touchd.calibration.wizard.frames import Stopped, keep, take_crosses
+from touchd.calibration.wizard.kept import held_folder
 from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.worker import ENDING, Worker
 from touchd.cli.main import main
 from touchd.config.load import load
-from touchd.errors import BridgeError, CalibrationError
+from touchd.errors import BridgeError, CalibrationError, OutputError
 from touchd.event import Event, Phase, PlateEvent, PlateKey, encode
 from touchd.localization.model import default_model_path
 from touchd.localization.model_file import digest, install, previous_path, rollback
@@ -544,3 +545,18 @@ def test_folder_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     (tmp_path / "file").touch()
     assert main(["wizard", "--socket", str(tmp_path / "socket"), "--folder", str(tmp_path / "file")]) == 90
     assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+def test_two_in_one_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A wizard keeps out of the folder of another, whose taps it would remove; of one that has ended it is free."""
+    _, state = made(tmp_path)
+    state.taps.mkdir()
+    (state.taps / "0000.npz").write_bytes(b"a tap that the state names in a moment")
+    asked = ["wizard", "--socket", str(tmp_path / "file/socket"), "--folder", str(state.folder)]
+    with held_folder(state.folder):
+        assert main(asked) == OutputError.exit_code
+        assert "another wizard keeps its files there -> stop it, or name another" in capsys.readouterr().err
+        assert (state.taps / "0000.npz").exists()
+    assert main(asked) == OutputError.exit_code
+    assert "socket" in capsys.readouterr().err
+    assert not (state.taps / "0000.npz").exists()
