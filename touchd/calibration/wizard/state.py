@@ -17,12 +17,12 @@ import structlog
 from touchd.calibration.error_map import ErrorMap
 from touchd.calibration.place_correction import Widths
 from touchd.calibration.plate_file import PlateFile, check_plate_file, to_toml
-from touchd.calibration.taps import ORIENTATIONS, refine, taps_of, told_by
+from touchd.calibration.taps import ORIENTATIONS, taps_of, told_by
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
 from touchd.calibration.wizard.frames import frames_until, meta_of, refuse_keypad
 from touchd.calibration.wizard.kept import Known, make_folder, read_kept
 from touchd.calibration.wizard.tapper import Tapped, Tapper
-from touchd.errors import CalibrationError, OutputError, PlateFileInvalid, TouchdError
+from touchd.errors import CalibrationError, OutputError, PlateFileInvalid
 from touchd.files import replacing, writing
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
 from touchd.recording.data import Meta, Recording
@@ -165,6 +165,7 @@ def collect(state: State, source: DaemonSource, stop: threading.Event) -> None:
     tapper = Tapper(atlas)
     errors = _errors(state, atlas)
     _tell(state, atlas, errors)
+    tapper.orientation = _orientation(state)
     meta = meta_of(source, state.said())
     number = _show_target(state)
     for frame in frames_until(stop, source, "the taps go on once it runs"):
@@ -173,11 +174,17 @@ def collect(state: State, source: DaemonSource, stop: threading.Event) -> None:
         if tapped is None:
             continue
         take(state, tapped, meta, number)
-        number = _show_target(state)
         if not tapped.reason:
-            _tell(state, atlas, errors)
-        told = state["told"]
-        tapper.orientation = ORIENTATIONS.index(told["orientation"]) if told else None
+            misses = _tell(state, atlas, errors)
+            if tapper.orientation is None and _orientation(state) is not None:
+                take_back(state, misses)
+        tapper.orientation = _orientation(state)
+        number = _show_target(state)
+
+
+def _orientation(state: State) -> int | None:
+    """Return the drawing's orientation, one of `ORIENTATIONS`; None before taps tell it."""
+    return ORIENTATIONS.index(state["told"]["orientation"]) if state["told"] else None
 
 
 def take(state: State, tapped: Tapped, meta: Meta, number: int) -> None:
@@ -207,6 +214,20 @@ def undo(state: State) -> bool:
     return bool(taps)
 
 
+def take_back(state: State, misses: list[int]) -> None:
+    """Take back the taps of these indices, which missed their targets: those are the next ones.
+
+    Before taps tell the drawing's orientation, one at the target's mirror image counts as good.
+    """
+    if misses:
+        taps = state["taps"]
+        numbers, target_mm = [taps[k]["number"] for k in misses], taps[misses[0]]["target_mm"]
+        again = [*([number, 0] for number in numbers), *(one for one in state["again"] if one[0] not in numbers)]
+        last = {"ok": False, "reason": "beside", "target_mm": target_mm, "found_mm": None}
+        state.set(taps=[tap for k, tap in enumerate(taps) if k not in misses], again=again, last=last)
+        state.tidy()
+
+
 def tell(state: State) -> None:
     """Tell what the taps do, of the model that is there."""
     atlas = load_atlas(atlas_path(state.model))
@@ -223,14 +244,18 @@ def _errors(state: State, atlas: Atlas) -> ErrorMap | None:
     return ErrorMap(atlas, np.sqrt(frames.var(axis=0, ddof=1, dtype=np.float64).mean()), known)
 
 
-def _tell(state: State, atlas: Atlas, errors: ErrorMap | None) -> None:
-    """Tell what the taps do: the expected error, and, of three or more, their scatter and the drawing's turn."""
+def _tell(state: State, atlas: Atlas, errors: ErrorMap | None) -> list[int]:
+    """Tell what the taps do: the expected error, and, of three or more, their scatter and the drawing's turn.
+
+    Return the indices of taps that fit no place near their targets, while most do.
+    """
     taps = taps_of(read(state.taps), atlas) if state["taps"] else None
-    told, orientation = None, 0
+    told, orientation, misses = None, 0, list[int]()
     if taps is not None and len(state["taps"]) >= LEAST_TO_TELL:
-        orientation, told = told_by(taps, atlas)
+        orientation, told, misses = told_by(taps, atlas)
     # Taps on a drawing that is turned tell nothing of places on it.
     state.set(told=told, expected=None if orientation or not errors else errors.shown(taps))
+    return misses
 
 
 def _show_target(state: State) -> int:
@@ -262,21 +287,3 @@ def _write(state: State, tapped: Tapped, meta: Meta, label_mm: tuple[float, floa
         meta, tapped.frames, sequence + np.arange(count), t_ns + period_ns * np.arange(count), contacts
     ))  # fmt: skip
     return name
-
-
-def compare(state: State, models: dict[str, Path]) -> dict[str, Any]:
-    """Return what each model makes of the taps: their number that fit, how far they lie apart, and what is left."""
-    found: dict[str, Any] = {}
-    for name, path in models.items():
-        try:
-            atlas = load_atlas(atlas_path(path))
-            taps = taps_of(read(state.taps), atlas)
-            refined = refine(atlas, taps)
-        except TouchdError as error:
-            found[name] = {"problem": error.what}
-        else:
-            found[name] = {
-                "used": refined.used, "taps": refined.taps, "scatter_mm": refined.scatter_mm,
-                "unexplained": refined.unexplained,
-            }  # fmt: skip
-    return found

@@ -20,8 +20,8 @@ import structlog
 
 from touchd.calibration.wizard import MOST_BYTES
 from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_crosses, take_untouched
-from touchd.calibration.wizard.models import Trial, fit, train
-from touchd.calibration.wizard.state import State, collect, compare, tell, undo
+from touchd.calibration.wizard.models import Trial, compare, fit, train
+from touchd.calibration.wizard.state import State, collect, tell, undo
 from touchd.calibration.wizard.watchers import stay, watch
 from touchd.errors import BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.files import socket_file
