@@ -239,6 +239,24 @@ def clear_socket(path: Path, kind: socket.SocketKind, where: str, fix: str, refu
 
 
 @contextmanager
+def held(folder: Path, owner: str, fix: str) -> Iterator[None]:
+    """Keep a folder of files for this process within this context, by a lock that ends with the process.
+
+    Raises OutputError, with this `fix`, if another process holds it, the `owner`, or if no lock can be made there.
+    """
+    with ExitStack() as stack:
+        # Not the folder itself: whoever makes a socket file in it locks that.
+        with writing(folder / ".lock", fix):
+            lock = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+            stack.callback(os.close, lock)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise OutputError(f"{owner} keeps its files there", str(folder), fix) from None
+        yield
+
+
+@contextmanager
 def _one_at_a_time(folder: Path) -> Iterator[None]:
     """Keep other processes of touchd from looking at and making socket files in a folder meanwhile.
 

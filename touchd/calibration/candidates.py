@@ -40,7 +40,7 @@ MOST = 2
 SOFT_STEPS, SOFT_BETTER = 4, 0.9
 """Tape on soft edges leaves less than this share after so many steps, 0.42 to 0.83 where there is some (twin): other
 unknowns have taken its part, and yield in a fit of all."""
-SHEET_FITS = "a sheet that is stiffer along one side fits, as rolled metal is: say `rolled = true` in PLATE.toml"
+SHEET_FITS = "a sheet that is stiffer along one side fits, as rolled metal is: say that it is rolled (`rolled = true`)"
 BETTER = 0.7
 """A candidate leaves less than this share of what was said leaves."""
 
@@ -74,7 +74,7 @@ def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
     p = np.zeros_like(held.start)  # from free edges: it may be one alone that is held
     p[held.index(Reader(said, a).names)] = state.p
     left = descend(UntouchedModel(plate, held, untouched), p, held.edges, WHOLE, SOFT_STEPS).left / state.left
-    what = "tape or pads along the edges fit: say in PLATE.toml which edge is held"
+    what = "tape or pads along the edges fit: say which edge is held"
     return [Candidate(taped, what, left)] if left < SOFT_BETTER else []
 
 
@@ -161,7 +161,7 @@ def _try(said: PlateFile, what: str, misfits: Floats, live: NDArray[np.intp]) ->
     )
     names = ["the emitter", *(f"receiver {c}" for c in range(1, len(places)))]
     wrong = ", ".join(f"{names[i]} at the place of {names[k]}" for i, k in enumerate(best_order) if i != k)
-    wiring = f"swapped cables fit: {wrong}; swap them, or correct PLATE.toml"
+    wiring = f"swapped cables fit: {wrong}; swap them, or correct the drawing"
     named = f"{what}; {wiring}" if what else wiring
     return Candidate(said.model_copy(update={"discs": discs}), named, left[best_order])
 

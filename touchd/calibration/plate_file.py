@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -133,6 +134,22 @@ def check_plate_file(content: dict[str, Any], where: str = "PLATE.toml") -> Plat
     return said
 
 
+def to_toml(tables: dict[str, Any]) -> str:
+    """Return tables of numbers, texts, lists and one table within, and lists of such, as PLATE.toml has them."""
+    lines: list[str] = []
+    several = [(f"[[{name}]]", each) for name, value in tables.items() if isinstance(value, list) for each in value]
+    for name, table in [(f"[{name}]", value) for name, value in tables.items() if isinstance(value, dict)] + several:
+        lines.append(name)
+        for key, value in table.items():
+            if isinstance(value, dict):
+                inner = ", ".join(f"{side} = {json.dumps(held)}" for side, held in value.items())
+                lines.append(f"{key} = {{ {inner} }}")
+            else:
+                lines.append(f"{key} = {json.dumps(value)}")
+        lines.append("")
+    return "\n".join(lines)
+
+
 Mistake = tuple[str, str, str]
 """What is wrong, the key, and what to do."""
 
@@ -153,7 +170,26 @@ def _explained(error: ValidationError) -> Iterator[Mistake]:
         key = "".join(c if c.isprintable() else "?" for c in ".".join(parts))
         if key not in named:
             named.add(key)
-            yield f"{found['msg'][:1].lower()}{found['msg'][1:]}", key, _fix(found["type"], found["loc"])
+            what = f"{found['msg'][:1].lower()}{found['msg'][1:]}"
+            counted = _counted(found["loc"])
+            yield f"{counted}: {what}" if counted else what, key, _fix(found["type"], found["loc"])
+
+
+def _counted(place: tuple[int | str, ...]) -> str:
+    """Return what a person calls a disc or a scatterer, who counts from 1, and its coordinate; empty of another key."""
+    match place:
+        case ("discs", "emitter_mm", *rest):
+            name = "emitter"
+        case ("discs", "receivers_mm", int(number), *rest):
+            name = f"receiver {number + 1}"
+        case ("scatterers", int(number), "at_mm", *rest):
+            name = f"scatterer {number + 1}"
+        case ("scatterers", int(number), *_):
+            return f"scatterer {number + 1}"
+        case _:
+            return ""
+    axis = {0: ", x", 1: ", y"}.get(rest[0], "") if rest and isinstance(rest[0], int) else ""
+    return name + axis
 
 
 def _fix(kind: str, place: tuple[int | str, ...]) -> str:
@@ -167,7 +203,7 @@ def _fix(kind: str, place: tuple[int | str, ...]) -> str:
         return f"remove it; known keys: {', '.join(table.model_fields)}" if table and len(place) > 1 else "remove it"
     if "edge" in place:
         return f"use one of {', '.join(get_args(Edge))}"
-    return "correct this key"
+    return "correct it"
 
 
 def _check_material(plate: PlateSaid) -> Iterator[Mistake]:
@@ -190,30 +226,36 @@ def _check_lengths(said: PlateFile) -> Iterator[Mistake]:
         yield what, f"plate.{key}", fix
     if discs.diameter_mm < LEAST_THICKNESS_MM:
         yield f"{discs.diameter_mm:g} mm is no disc: metres?", "discs.diameter_mm", fix
-    for key, place in _places(discs):
+    for name, key, place in _places(discs):
         if 0 < max(place) < 1 and min(place) >= 0:
-            yield f"({place[0]:g}, {place[1]:g}) looks like metres", f"discs.{key}", fix
+            yield f"{name} at ({place[0]:g}, {place[1]:g}) looks like metres", key, fix
 
 
 def _check_places(said: PlateFile) -> Iterator[Mistake]:
     """Refuse discs that reach over the edge or into each other."""
     plate, radius = said.plate, said.discs.diameter_mm / 2
     places = _places(said.discs)
-    for number, (key, (x, y)) in enumerate(places):
+    for number, (name, key, (x, y)) in enumerate(places):
         if not (radius <= x <= plate.width_mm - radius and radius <= y <= plate.height_mm - radius):
-            what = f"a disc of {2 * radius:g} mm at ({x:g}, {y:g}) reaches over the edge of the "
+            what = f"{name}, of {2 * radius:g} mm at ({x:g}, {y:g}), reaches over the edge of the "
             what += f"{plate.width_mm:g} x {plate.height_mm:g} mm plate"
-            yield what, f"discs.{key}", "measure from the top left corner, x to the right and y down"
-        for other, (x2, y2) in places[:number]:
+            yield what, key, "measure from the top left corner, x to the right and y down"
+        for other, _, (x2, y2) in places[:number]:
             if (x - x2) ** 2 + (y - y2) ** 2 < (2 * radius) ** 2:
-                yield f"lies on {other}", f"discs.{key}", "measure both again"
+                yield f"{name} lies on {other}", key, "measure both again"
 
     for number, one in enumerate(said.scatterers):
         x, y = one.at_mm
         if not (0 <= x <= plate.width_mm and 0 <= y <= plate.height_mm):
-            what = f"({x:g}, {y:g}) lies beside the {plate.width_mm:g} x {plate.height_mm:g} mm plate"
+            what = f"scatterer {number + 1} at ({x:g}, {y:g}) lies beside the "
+            what += f"{plate.width_mm:g} x {plate.height_mm:g} mm plate"
             yield what, f"scatterers.{number}.at_mm", "measure from the top left corner, x to the right and y down"
 
 
-def _places(discs: DiscsSaid) -> list[tuple[str, tuple[float, float]]]:
-    return [("emitter_mm", discs.emitter_mm)] + [(f"receivers_mm.{i}", p) for i, p in enumerate(discs.receivers_mm)]
+def _places(discs: DiscsSaid) -> list[tuple[str, str, Place]]:
+    """Return each disc as a person calls it, its key, which counts from 0, and its place."""
+    receivers = enumerate(discs.receivers_mm)
+    return [
+        ("emitter", "discs.emitter_mm", discs.emitter_mm),
+        *((f"receiver {i + 1}", f"discs.receivers_mm.{i}", place) for i, place in receivers),
+    ]

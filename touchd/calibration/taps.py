@@ -148,7 +148,7 @@ def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     )  # fmt: skip
     reasons = fit.reasons
     if orientation:
-        reasons = (f"the drawing is {ORIENTATIONS[orientation]}: correct the discs' places in PLATE.toml", *reasons)
+        reasons = (f"the drawing is {ORIENTATIONS[orientation]}: correct the discs' places", *reasons)
     return replace(fit, layout=layout, edges=fit.edges.turned(orientation), undecided=(), reasons=reasons)
 
 
@@ -186,10 +186,11 @@ def refine(
     )  # fmt: skip
 
 
-def told_by(taps: Taps, atlas: Atlas) -> tuple[int, dict[str, Any]]:
-    """Return the drawing's orientation, and for the page the taps' scatter, how many labels tell it, and their misses.
+def told_by(taps: Taps, atlas: Atlas) -> tuple[int, dict[str, Any], list[int]]:
+    """Return the drawing's orientation, for the page what taps tell, and the indices of those that miss their labels.
 
-    `off_mm` is the median distance of taps from their labels.
+    The page gets the taps' scatter, how many labels tell it, and `off_mm`, the median distance of taps from their
+    labels. A tap misses if no place near its label explains it, while near those of most one does.
     """
     orientation = orientation_of(atlas, taps)
     label_mm = turned(taps.label_mm, orientation, atlas.description.plate.size_mm)
@@ -197,9 +198,10 @@ def told_by(taps: Taps, atlas: Atlas) -> tuple[int, dict[str, Any]]:
     fits = placed.misfit < FITS
     scatter_mm, repeats = scatter_of(label_mm[fits], placed.position_mm[fits])
     off_mm = float(np.median(np.linalg.norm(placed.position_mm - label_mm, axis=1)))
+    misses = np.flatnonzero(~fits).tolist() if 2 * fits.sum() > len(fits) else []
     return orientation, {
         "scatter_mm": scatter_mm, "repeats": repeats, "off_mm": off_mm, "orientation": ORIENTATIONS[orientation],
-    }  # fmt: skip
+    }, misses  # fmt: skip
 
 
 def scatter_of(label_mm: Floats, placed_mm: Floats) -> tuple[float | None, int]:

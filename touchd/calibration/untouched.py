@@ -147,22 +147,27 @@ def check_chirp(acquisition: Acquisition, where: str) -> None:
         )  # fmt: skip
 
 
+def check_channels(channels: int, said: PlateFile, where: str) -> None:
+    """Raise PlateMismatch unless each channel has one measured receiver."""
+    receivers = len(said.discs.receivers_mm)
+    if channels != receivers:
+        raise PlateMismatch(
+            f"{channels} channels, but {receivers} receivers are measured", where,
+            "measure each channel's receiver, in the order of the channels",
+        )  # fmt: skip
+
+
 def check_geometry(recording: Recording, said: PlateFile, where: str = "recording") -> None:
     """Raise PlateMismatch unless a recording can be of the plate that PLATE.toml describes."""
     check_chirp(recording.acquisition, where)
-    channels, receivers = recording.frames.shape[1], len(said.discs.receivers_mm)
-    if channels != receivers:
-        raise PlateMismatch(
-            f"{channels} channels, but {receivers} receivers in PLATE.toml", where,
-            "list each channel's receiver, in the order of the channels",
-        )  # fmt: skip
+    check_channels(recording.frames.shape[1], said, where)
     taken, plate = recording.meta.plate, said.plate
     for key in ("width_mm", "height_mm"):
         was, is_said = getattr(taken, key), getattr(plate, key)
         if abs(was - is_said) > MOST_APART * is_said:
             raise PlateMismatch(
-                f"{key} is {was:g}, but {is_said:g} in PLATE.toml", where,
-                "correct the wrong one: PLATE.toml, or record again (--plate WIDTHxHEIGHTxTHICKNESS)",
+                f"{key} is {was:g}, but {is_said:g} was measured", where,
+                "correct the measures, or record again (--plate WIDTHxHEIGHTxTHICKNESS)",
             )  # fmt: skip
 
 

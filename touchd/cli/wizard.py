@@ -32,6 +32,7 @@ def command(
     """
     from touchd.calibration.wizard import HANDED, default_socket
     from touchd.calibration.wizard.frames import shown
+    from touchd.calibration.wizard.kept import held_folder
     from touchd.calibration.wizard.state import State
     from touchd.calibration.wizard.worker import Worker, serve
     from touchd.cli.main import missing_extra
@@ -45,13 +46,14 @@ def command(
     settings = load(config)
     configure(settings.log)
     path = socket_path or default_socket()
-    state = State(folder or state_folder("wizard"))
+    kept = folder or state_folder("wizard")
     trains = find_spec("torch") is not None
     untrainable = "" if trains else str(missing_extra(ModuleNotFoundError(name="torch")))
-    state.set(mapping=shown(settings.input), untrainable=untrainable)
-    worker = Worker(
-        state, settings.control.socket or SERVICE_PATH, settings.model.path or installed_path(), seconds,
-        config or DEFAULT_PATH, path.with_name(HANDED), address,
-    )  # fmt: skip
-    with closing(Notifier.from_environment()) as manager:
+    with held_folder(kept), closing(Notifier.from_environment()) as manager:
+        state = State(kept)
+        state.set(mapping=shown(settings.input), untrainable=untrainable)
+        worker = Worker(
+            state, settings.control.socket or SERVICE_PATH, settings.model.path or installed_path(), seconds,
+            config or DEFAULT_PATH, path.with_name(HANDED), address,
+        )  # fmt: skip
         asyncio.run(serve(worker, state, path, manager, lambda: say(f"touchd: {path}: ready")))

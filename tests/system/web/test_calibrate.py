@@ -426,14 +426,19 @@ def test_whole_wizard(tmp_path: Path, browser: Browser) -> None:
             opened.locator('[name="emitter.x"]').fill("20.3")
             opened.get_by_role("button", name="Save the measures").click()
             expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
+            # Other measures discard the fit: no verdict and no taps before the next one.
+            expect(opened.get_by_text("On trial: the model of an earlier fit.")).to_be_visible()
+            for name in ("4 Verdict", "6 Taps"):
+                expect(opened.get_by_role("button", name=name)).to_be_disabled()
             opened.get_by_role("button", name="3 Fit").click()
             opened.evaluate(
                 "window.shares = []; new MutationObserver(() => shares.push(document.querySelector('progress')"
                 ".value)).observe(document.querySelector('progress'), {attributes: true})"
             )
             opened.get_by_role("button", name="Fit again", exact=True).click()
-            expect(opened.get_by_text("On trial: the model of an earlier fit.")).to_be_visible()
-            opened.wait_for_function("() => touchd.feed.last.calibrate.running === null")
+            opened.wait_for_function(
+                "() => touchd.feed.last.calibrate.running === null && touchd.feed.last.calibrate.result"
+            )
             assert any(0 < share < 1 for share in opened.evaluate("shares")), "the fit's progress is shown"
             after = opened.evaluate("touchd.feed.last.calibrate.expected")
             assert after["median_mm"] < 1.1 * told["median_mm"]

@@ -17,7 +17,7 @@ from tests.needs import need
 from tests.processes import PATIENCE_S, started
 from tests.system.web.bus import WRONG
 from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, bus, chromium, page, web
-from tests.system.web.wizard import STATES, Wizard, wizard
+from tests.system.web.wizard import PLATE, STATES, Wizard, wizard
 from touchd.localization.model import default_model_path
 
 STATUS = ".state-word"
@@ -395,6 +395,90 @@ def test_steps(browser: Browser, server: Web, told: Wizard) -> None:
         expect(opened.get_by_role("alert")).to_contain_text("This page does not fill the screen")
         expect(opened.locator(".stage")).to_be_hidden()
         assert told.asked == ["measures"]
+
+
+def measuring(opened: Page) -> None:
+    """Show the measures."""
+    opened.get_by_role("link", name="Calibrate").click()
+    opened.get_by_role("button", name="1 Measures").click()
+    expect(opened.get_by_role("button", name="Save the measures")).to_be_visible()
+
+
+def test_no_number(browser: Browser, server: Web, told: Wizard) -> None:
+    """What is not wholly a number is refused at its field, by name, and never cut; a receiver more leaves it there."""
+    told.show("untouched", running=None)
+    with page(browser, server.url) as opened:
+        measuring(opened)
+        for name, said in (("width_mm", "Width, mm: “"), ("receiver1.y", "Receiver 2, y, mm: “")):
+            field = opened.locator(f'[name="{name}"]')
+            before = field.input_value()
+            for text in ("11 cm", "12 in", "1,100.5", "1.100,5", "110 90", "--1", "1e", "Infinity", "0x10", " "):
+                field.fill(text)
+                opened.get_by_role("button", name="One receiver more").click()
+                opened.get_by_role("button", name="One less").click()
+                expect(field).to_have_value(text)
+                opened.get_by_role("button", name="Save the measures").click()
+                assert field.evaluate("one => one.validationMessage").startswith(f"{said}{text}” is no number")
+                assert opened.evaluate("document.activeElement.name") == name
+            field.fill(before)
+        opened.locator("[name=width_mm]").fill(" 110,5 ")
+        opened.get_by_role("button", name="Save the measures").click()
+        expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
+        assert [plate["plate"]["width_mm"] for plate in told.saved] == [110.5]
+
+
+def test_measures_of_another_page(browser: Browser, server: Web, told: Wizard) -> None:
+    """What is being typed stays while other measures are saved elsewhere, which the page says; once it is saved, and
+    where nothing is typed, the wizard's measures are shown."""
+    changed = {**PLATE, "plate": PLATE["plate"] | {"height_mm": 91.0}}
+    told.show("untouched", running=None)
+    with page(browser, server.url) as opened:
+        measuring(opened)
+        width, height = opened.locator("[name=width_mm]"), opened.locator("[name=height_mm]")
+        others = opened.get_by_text("Other measures were saved meanwhile")
+        width.fill("133")
+        told.show("untouched", running=None, plate=changed)
+        expect(others).to_be_visible()
+        expect(width).to_have_value("133")
+        expect(height).to_have_value("149.8")
+        opened.get_by_role("button", name="Save the measures").click()
+        expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
+        told.show("untouched", running=None, plate=told.saved[0])
+        measuring(opened)
+        expect(others).to_be_hidden()
+        expect(width).to_have_value("133")
+        told.show("untouched", running=None, plate=changed)
+        expect(height).to_have_value("91")
+        expect(width).to_have_value("200.4")
+        expect(others).to_be_hidden()
+
+
+def test_measures_beyond_all_plates(browser: Browser, server: Web) -> None:
+    """A length, a place or a diameter that no drawing can have is not drawn, and is no error of the page."""
+    with page(browser, server.url) as opened:
+        measuring(opened)
+        for name in ("emitter.x", "receiver0.y", "diameter_mm", "width_mm", "height_mm"):
+            field = opened.locator(f'[name="{name}"]')
+            before = field.input_value()
+            for text in ("1e99", "9" * 60, "-1e99"):
+                field.fill(text)
+            count = {"emitter.x": 4, "receiver0.y": 4, "diameter_mm": 5}.get(name, 0)
+            expect(opened.locator("[data-panel=measures] svg circle")).to_have_count(count)
+            field.fill(before)
+
+
+def test_narrow(browser: Browser, server: Web, tmp_path: Path) -> None:
+    """On 200 px each view and the theme's button can be pressed: none lies over another."""
+    with page(browser, server.url, wide=200, high=400) as opened:
+        for view in ("Calibrate", "Check", "Live"):
+            opened.get_by_role("link", name=view).click()
+            expect(opened.get_by_role("link", name=view)).to_have_attribute("aria-current", "page")
+        over = opened.evaluate("""() => [...document.querySelectorAll('nav a, #theme')]
+            .map(one => one.getBoundingClientRect())
+            .filter((one, n, all) => all.slice(0, n).some(other => one.left < other.right - 0.5
+                && other.left < one.right - 0.5 && one.top < other.bottom - 0.5 && other.top < one.bottom - 0.5))""")
+        assert over == []
+        opened.screenshot(path=tmp_path / "narrow.png")
 
 
 def test_replay(browser: Browser, tmp_path: Path) -> None:

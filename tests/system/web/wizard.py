@@ -115,13 +115,15 @@ class Wizard:
         self.state = NOTHING
         self.asked: list[str] = []
         """Commands of the page."""
+        self.saved: list[Any] = []
+        """Measures that it sent."""
         self.ended = threading.Event()
         self.changed = threading.Condition()
 
     def forget(self) -> None:
         """Know nothing, as at the start."""
         with self.changed:
-            self.state, self.asked = dict(NOTHING), []
+            self.state, self.asked, self.saved = dict(NOTHING), [], []
             self.changed.notify_all()
 
     def show(self, name: str, **changes: Any) -> None:
@@ -145,6 +147,8 @@ def wizard(path: Path) -> Iterator[Wizard]:
                 self._say({"ok": True, "png": base64.b64encode(_picture(asked["name"])).decode()})
             else:
                 served.asked.append(asked["do"])
+                if asked["do"] == "measures":
+                    served.saved.append(asked["plate"])
                 self._say({"ok": True})
 
         def _watch(self) -> None:

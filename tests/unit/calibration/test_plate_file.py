@@ -58,8 +58,15 @@ def test_an_edge_is_one_word_or_a_table() -> None:
         ("plate", {"thickness_mm": 60}, "plate.thickness_mm"),
         ("discs", {"emitter_mm": [0.03, 0.1]}, "discs.emitter_mm.*metres"),
         ("discs", {"diameter_mm": 0.006}, "discs.diameter_mm.*metres"),
-        ("discs", {"receivers_mm": [[15, 15], [199, 20]]}, "discs.receivers_mm.1.*edge"),
-        ("discs", {"receivers_mm": [[15, 15], [18, 17]]}, "discs.receivers_mm.1.*receivers_mm.0"),
+        ("discs", {"receivers_mm": [[15, 15], [199, 20]]}, "discs.receivers_mm.1: receiver 2, .*edge"),
+        ("discs", {"receivers_mm": [[15, 15], [18, 17]]}, "discs.receivers_mm.1: receiver 2 lies on receiver 1 "),
+        ("discs", {"receivers_mm": [[28, 99], [185, 20]]}, "discs.receivers_mm.0: receiver 1 lies on emitter "),
+        ("discs", {"receivers_mm": [[0.1, 0.2], [185, 20]]}, "discs.receivers_mm.0: receiver 1 .*metres"),
+        ("discs", {"receivers_mm": [[15, 15], [185, None]]}, "discs.receivers_mm.1.1: receiver 2, y: .*-> correct it"),
+        ("discs", {"receivers_mm": [[15, 15], [185]]}, "discs.receivers_mm.1.1: receiver 2, y: .*give x and y"),
+        ("discs", {"receivers_mm": [[15, 15], 5]}, "discs.receivers_mm.1: receiver 2: "),
+        ("discs", {"receivers_mm": []}, "discs.receivers_mm: tuple should"),
+        ("discs", {"emitter_mm": [None, 100]}, "discs.emitter_mm.0: emitter, x: "),
         ("plate", {"material": "cheese"}, "cheese.*glass, aluminium"),
         ("plate", {"material": ...}, "material is missing"),
         ("plate", {"young_gpa": 70}, "name and constants"),
@@ -78,8 +85,8 @@ def test_mistakes(table: str, keys: dict[str, Any], said: str) -> None:
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ({"at_mm": [120, 170], "diameter_mm": 16}, "scatterers.0.at_mm.*beside the 200 x 150 mm plate"),
-        ({"at_mm": [120, 70]}, "scatterers.0.diameter_mm.*measure it"),
+        ({"at_mm": [120, 170], "diameter_mm": 16}, "scatterers.0.at_mm: scatterer 1 .*beside the 200 x 150 mm plate"),
+        ({"at_mm": [120, 70]}, "scatterers.0.diameter_mm: scatterer 1: .*measure it"),
         ({"at_mm": [120, 70], "diameter_mm": 16, "hole": True}, "scatterers.0.hole.*known keys: at_mm"),
     ],
 )

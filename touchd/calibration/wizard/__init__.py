@@ -7,8 +7,8 @@ page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
 - `state.py`: what is known so far, on disk after each step and tap: a restart goes on from there. What taps tell says
   `touchd.calibration.taps`
 - `kept.py`: the state's file as an earlier process left it, unless it is damaged
-- `frames.py`: ten seconds that nobody touches; a finger begins them again. What a tap is worth; where to tap says
-  `touchd.calibration.walk`. Where the screen lies, by touches at crosses
+- `frames.py`: ten seconds that nobody touches; a finger begins them again. Where the screen lies, by touches at crosses
+- `tapper.py`: what a tap is worth; where to tap says `touchd.calibration.walk`
 - `models.py`: `touchd calibrate` and `touchd train` in a child process; a model on trial in the daemon
 
 The socket takes one JSON object a line, and answers with one.

@@ -1,6 +1,5 @@
-"""What the wizard takes of a daemon: untouched seconds, which a finger begins again, taps, and touches at crosses.
+"""What the wizard takes of a daemon: untouched seconds, which a finger begins again, and touches at crosses.
 
-A tap is worth something if it is one steady fingertip, loud enough, where it should be; else it has a reason why not.
 Touches at crosses that the page shows tell where the screen lies on the plate, as those of `touchd map` do.
 """
 
@@ -11,27 +10,21 @@ import json
 import os
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from touchd.bridges.area import LEAST_TOUCHES, Crosses, Mapping, Touched, fit, keys_of
 from touchd.calibration.plate_file import PlateFile
-from touchd.calibration.taps import FITS, Taps, turned
+from touchd.calibration.untouched import check_channels, check_chirp
 from touchd.client import Subscriber
 from touchd.config.edit import set_keys
 from touchd.config.load import load
 from touchd.config.schema import InputSettings, Settings
 from touchd.errors import BusError, BusTimeout, CalibrationError, OutputError, SourceError
-from touchd.evaluation.dataset import complex_bins
 from touchd.event import PlateEvent
 from touchd.files import replacing
 from touchd.frame import Frame
-from touchd.localization.atlas import Atlas
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Meta
@@ -39,7 +32,6 @@ from touchd.recording.format import write
 from touchd.service.frame_feed import DaemonSource, open_daemon
 from touchd.service.runner import frames_of
 from touchd.sources.recorder import describe, recording_of
-from touchd.training.field.place import place
 
 TOUCHED_FRAMES = 3
 """As many touched frames in a row are a finger; fewer an impulse, which the fit leaves out."""
@@ -47,25 +39,10 @@ Progress = Callable[[float, str], object]
 """Receives the share that is done, and of what, or what holds it up."""
 FINGER = "finger"
 """What holds it up: something is on the plate."""
-LEAST_FRAMES, MOST_FRAMES = 10, 400
-"""Refuse a shorter tap; of a longer one the last frames count."""
-QUIET_FRAMES = 6
-"""As many untouched frames end a tap."""
-BASELINE_FRAMES = 16
-LIGHT = 30.0
-"""A tap has this many times the noise's energy, ..."""
-LIGHTER = 0.05
-"""... and this share of the median tap's."""
-STEADY = 0.95
-"""Least correlation between the tap's halves: a finger that moves by 2 mm has 0.8 (twin)."""
-ALIKE = 2.0
-"""Orientations that leave less than this multiple of the least are as likely: near the middle all are."""
-BESIDE_MM = 12.0
-"""Nobody misses a target by more."""
-KEPT = 12
-"""Frames of a tap that are kept."""
 SILENT_S = 3.0
 """A daemon that runs says its health each second."""
+HEALTH_S = 1.5
+"""Long enough to hear it."""
 _LOOK_S = 0.2
 _TAKEN_S = 15.0
 """How long touchd-mapping.service may need."""
@@ -75,12 +52,34 @@ class Stopped(Exception):
     """The job was told to end."""
 
 
-def open_feed(control: Path) -> DaemonSource:
-    """Return the running daemon's frames; BusError without a daemon."""
+def open_feed(control: Path, bus: str | None, stop: threading.Event) -> DaemonSource:
+    """Return the running daemon's frames.
+
+    Raises Stopped if `stop` was set; BusError if no daemon listens at `control`: none runs, or one that publishes on
+    `bus` has another control socket, or none.
+    """
     source = open_daemon(control)
-    if source is None:
-        raise BusError("no daemon runs there", str(control), "start it: systemctl start touchd")
-    return source
+    if source is not None:
+        return source
+    if _publishes(bus, stop):
+        raise BusError(
+            "a daemon runs, but does not listen there", str(control),
+            "set control.socket, the same for the daemon and touchd wizard, and start both again",
+        )  # fmt: skip
+    raise BusError("no daemon runs there", str(control), "start it: systemctl start touchd")
+
+
+def _publishes(bus: str | None, stop: threading.Event) -> bool:
+    """Return whether a daemon says its health on the bus; Stopped if `stop` was set."""
+    until_s = time.monotonic() + HEALTH_S
+    with contextlib.suppress(BusError), Subscriber(bus, "health", max_age_s=None) as events:
+        while time.monotonic() < until_s:
+            if stop.is_set():
+                raise Stopped
+            with contextlib.suppress(BusTimeout):
+                events.receive(_LOOK_S)
+                return True
+    return False
 
 
 def refuse_keypad(keypad: bool) -> None:
@@ -114,7 +113,13 @@ def meta_of(source: DaemonSource, said: PlateFile) -> Meta:
 def take_untouched(
     source: DaemonSource, said: PlateFile, path: Path, seconds: float, stop: threading.Event, progress: Progress
 ) -> None:
-    """Write frames that nobody touches to `path`; Stopped if `stop` was set, BusError if the daemon has ended."""
+    """Write frames that nobody touches to `path`.
+
+    Raises Stopped if `stop` was set; BusError if the daemon has ended; PlateMismatch if no fit can follow: channels
+    and receivers differ in number, or the chirp is none for a plate.
+    """
+    check_chirp(source.acquisition, "the daemon's frames")
+    check_channels(source.acquisition.channels, said, "the daemon's frames")
     pipeline = Pipeline(source.acquisition, None, Settings())
     wanted = max(round(seconds * source.description.rate_hz), 1)
     kept: list[Frame] = []
@@ -134,88 +139,6 @@ def take_untouched(
         if len(kept) == wanted:
             write(path, recording_of(meta_of(source, said), kept, kept[0].t_ns))
             return
-
-
-class Tapped(NamedTuple):
-    """One tap."""
-
-    reason: str
-    """Why it does not count, as the page's texts name it: `short`, `clipped`, `light`, `unsteady`, `no_fit` or
-    `beside`; empty of a good one."""
-    frames: NDArray[np.int16]
-    """Untouched frames, then touched ones, shape (n, channels, samples)."""
-    touched: int
-    """How many are touched."""
-    found_mm: tuple[float, float] | None = None
-    """Where the fitted plate says it was."""
-
-
-class Tapper:
-    """Finds taps in a daemon's frames, and judges them by a fitted plate."""
-
-    def __init__(self, atlas: Atlas) -> None:
-        d = atlas.description
-        self._atlas, self._acquisition = atlas, d.acquisition
-        self._to_bins = d.to_bins
-        self._pipeline = Pipeline(d.acquisition, None, Settings())
-        self._before: deque[NDArray[np.int16]] = deque(maxlen=BASELINE_FRAMES)
-        self._touched: deque[NDArray[np.int16]] = deque(maxlen=MOST_FRAMES)
-        self._quiet = 0
-        self._energies: list[float] = []
-        self.orientation: int | None = None
-        """Of the drawing, one of `ORIENTATIONS`, once taps have told it: until then a tap may be any."""
-
-    def feed(self, frame: Frame, label_mm: tuple[float, float]) -> Tapped | None:
-        """Take a frame; return the tap that has just ended, at a target `label_mm`."""
-        outcome = self._pipeline.process(frame).outcome
-        if outcome is Outcome.UNCALIBRATED:
-            self._touched.append(frame.counts.copy())
-            self._quiet = 0
-        elif outcome is Outcome.UNTOUCHED:
-            self._quiet += 1
-            if not self._touched:
-                self._before.append(frame.counts.copy())
-            elif self._quiet >= QUIET_FRAMES:
-                touched, before = np.array(self._touched), np.array(self._before)
-                self._touched.clear()
-                return self._judge(before, touched, label_mm) if len(before) >= 4 else None
-        return None
-
-    def _judge(self, before: NDArray[np.int16], touched: NDArray[np.int16], label_mm: tuple[float, float]) -> Tapped:
-        middle = touched[len(touched) // 4 : max(3 * len(touched) // 4, len(touched) // 4 + 1)]
-        chosen = middle[np.linspace(0, len(middle) - 1, min(KEPT, len(middle))).astype(int)]
-        made = Tapped("", np.concatenate([before, chosen]), len(chosen))
-        if len(touched) < LEAST_FRAMES:
-            return made._replace(reason="short")
-        if (np.abs(chosen.astype(np.int32)) >= 2 ** (self._acquisition.bits - 1) - 2).any():
-            return made._replace(reason="clipped")
-        residual = chosen - before.mean(axis=0, dtype=np.float64)
-        halves = [half.mean(axis=0).ravel() for half in np.array_split(residual, 2)]
-        mean = residual.mean(axis=0)
-        energy = float(np.square(mean).sum())
-        noise = self._pipeline.detector.noise_counts() ** 2 * mean.size * (1 / len(chosen) + 1 / len(before))
-        usual = float(np.median(self._energies)) if self._energies else 0.0
-        if energy < LIGHT * noise or energy < LIGHTER * usual:
-            return made._replace(reason="light")
-        alike = float(halves[0] @ halves[1] / max(np.linalg.norm(halves[0]) * np.linalg.norm(halves[1]), 1e-30))
-        if alike < STEADY:
-            return made._replace(reason="unsteady")
-        features = (mean @ self._to_bins).reshape(1, -1)
-        taps = Taps(np.array([label_mm]), complex_bins(features, self._acquisition.channels))
-        size_mm = self._atlas.description.plate.size_mm
-        likely = range(4) if self.orientation is None else (self.orientation,)
-        placed = [place(self._atlas, taps.values, turned(taps.label_mm, k, size_mm)) for k in likely]
-        least = min(float(each.misfit[0]) for each in placed)
-        if least > FITS:
-            return made._replace(reason="no_fit")
-        found = [turned(each.position_mm, k, size_mm)[0] for k, each in zip(likely, placed, strict=True)
-                 if each.misfit[0] < ALIKE * least]  # fmt: skip
-        x_mm, y_mm = min(found, key=lambda place_mm: float(np.hypot(*(place_mm - label_mm)))).tolist()
-        made = made._replace(found_mm=(round(x_mm, 2), round(y_mm, 2)))
-        if np.hypot(x_mm - label_mm[0], y_mm - label_mm[1]) > BESIDE_MM:
-            return made._replace(reason="beside")
-        self._energies.append(energy)
-        return made
 
 
 def take_crosses(

@@ -1,18 +1,22 @@
-"""Read the wizard's state from its file; put a file that holds none aside."""
+"""The wizard's folder, which one wizard holds, and its state there: a file that holds none is put aside."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
 import structlog
 from pydantic import BaseModel, ValidationError, model_validator
 
-from touchd.files import open_file, writing
+from touchd.errors import OutputError
+from touchd.files import held, open_file, writing
 
 log = structlog.get_logger()
+_ANOTHER = "name another one with --folder"
 Place = tuple[float, float]
 Table = dict[str, Any]
 
@@ -76,6 +80,25 @@ class Known(BaseModel):
         if self.running == "train" and self.training is None:
             raise ValueError("a training runs, and on which recording is missing")
         return self
+
+
+def make_folder(folder: Path) -> None:
+    """Make the wizard's folder unless it is there; OutputError if it cannot be made."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"the folder cannot be made ({error.strerror})", str(folder), _ANOTHER) from error
+
+
+@contextmanager
+def held_folder(folder: Path) -> Iterator[None]:
+    """Keep other wizards out of a folder within this context: each would remove taps that the other has just written.
+
+    Raises OutputError if one is there, or the folder cannot be made.
+    """
+    make_folder(folder)
+    with held(folder, "another wizard", f"stop it, or {_ANOTHER}"):
+        yield
 
 
 def read_kept(path: Path) -> dict[str, Any]:

@@ -14,11 +14,14 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
+from touchd.calibration.taps import refine, taps_of
 from touchd.calibration.wizard.frames import Progress, Stopped
 from touchd.calibration.wizard.state import State
 from touchd.child import verb
-from touchd.errors import CalibrationError, ModelMissing, PlatePoor, TrainingError
+from touchd.errors import CalibrationError, ModelMissing, PlatePoor, TouchdError, TrainingError
+from touchd.localization.atlas import atlas_path, load_atlas
 from touchd.localization.model_file import digest, install, previous_path
+from touchd.recording.format import read
 from touchd.service.control import take_model
 
 LOG_LINES = 40
@@ -152,3 +155,21 @@ class Trial:
         of = {digest(self._state.trained): "trained", digest(self._state.model): "fitted"}
         runs = of.get(now, "before" if before is None else "earlier") if now else ""
         self._state.set(before=before, runs=runs)
+
+
+def compare(state: State, models: dict[str, Path]) -> dict[str, Any]:
+    """Return what each model makes of the taps: their number that fit, how far they lie apart, and what is left."""
+    found: dict[str, Any] = {}
+    for name, path in models.items():
+        try:
+            atlas = load_atlas(atlas_path(path))
+            taps = taps_of(read(state.taps), atlas)
+            refined = refine(atlas, taps)
+        except TouchdError as error:
+            found[name] = {"problem": error.what}
+        else:
+            found[name] = {
+                "used": refined.used, "taps": refined.taps, "scatter_mm": refined.scatter_mm,
+                "unexplained": refined.unexplained,
+            }  # fmt: skip
+    return found

@@ -16,12 +16,13 @@ import structlog
 
 from touchd.calibration.error_map import ErrorMap
 from touchd.calibration.place_correction import Widths
-from touchd.calibration.plate_file import PlateFile, check_plate_file
-from touchd.calibration.taps import ORIENTATIONS, refine, taps_of, told_by
+from touchd.calibration.plate_file import PlateFile, check_plate_file, to_toml
+from touchd.calibration.taps import ORIENTATIONS, taps_of, told_by
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
-from touchd.calibration.wizard.frames import Tapped, Tapper, frames_until, meta_of, refuse_keypad
-from touchd.calibration.wizard.kept import Known, read_kept
-from touchd.errors import OutputError, PlateFileInvalid, TouchdError
+from touchd.calibration.wizard.frames import frames_until, meta_of, refuse_keypad
+from touchd.calibration.wizard.kept import Known, make_folder, read_kept
+from touchd.calibration.wizard.tapper import Tapped, Tapper
+from touchd.errors import CalibrationError, OutputError, PlateFileInvalid
 from touchd.files import replacing, writing
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
 from touchd.recording.data import Meta, Recording
@@ -31,7 +32,8 @@ from touchd.service.frame_feed import DaemonSource
 log = structlog.get_logger()
 NOTHING = Known().model_dump()
 _FLEETING = frozenset({"share", "note", "log"})
-_OF_TAPS = ("taps", "again", "next", "target_mm", "last", "told", "expected", "compared")
+_OF_FIT = ("result", "target_mm", "last", "told", "expected", "compared")
+_OF_TAPS = ("taps", "again", "next")
 _LASTING = ("plate", "mapping", "training", "trained", "untrainable", "runs", "before")
 
 LEAST_TO_TELL = 3
@@ -56,12 +58,7 @@ class State:
         """The trained model."""
         self.taps = folder / "taps"
         """Folder of the taps: a recording in chunks, one for each tap."""
-        try:
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"the folder cannot be made ({error.strerror})", str(folder), "name another one with --folder"
-            ) from error
+        make_folder(folder)
         self._lock = threading.Lock()
         self._known = dict(NOTHING)
         self.version = 0
@@ -109,17 +106,29 @@ class State:
             return self.said().described() != plate
         return True
 
+    def differs(self, tables: dict[str, Any]) -> bool:
+        """Return whether these measures say anything else than those that are saved."""
+        new = check_plate_file(tables, "measures")
+        with contextlib.suppress(PlateFileInvalid):
+            return self.said() != new
+        return True
+
     def set_plate(self, tables: dict[str, Any]) -> None:
         """Take what a person measured; PlateFileInvalid says what is wrong with it.
 
-        Discard taps if size, thickness or material change: their labels are crosses on the drawing from before.
+        Discard the fit if any measure changes: its model is of the plate as it was measured before. Discard taps if
+        size, thickness or material change: their labels are crosses on the drawing from before.
         """
         said = check_plate_file(tables, "measures").model_dump(mode="json", exclude_unset=True, exclude_none=True)
-        dropped = {name: NOTHING[name] for name in _OF_TAPS} if self.is_another(tables) else {}
+        differs, another = self.differs(tables), self.is_another(tables)
+        dropped = (_OF_FIT if differs else ()) + (_OF_TAPS if another else ())
         with replacing(self.plate_file, mode=0o600) as file:
             file.write(to_toml(said).encode())
-        self.set(plate=said, problem="", **dropped)
-        if dropped:  # else a tap may be on its way: on disk, and not in the state
+        self.set(plate=said, problem="", **{name: NOTHING[name] for name in dropped})
+        if differs:
+            with writing(self.model):
+                self.model.unlink(missing_ok=True)
+        if another:  # else a tap may be on its way: on disk, and not in the state
             self.tidy()
 
     def begin_again(self) -> None:
@@ -142,34 +151,21 @@ class State:
                     file.unlink()
 
 
-def to_toml(tables: dict[str, Any]) -> str:
-    """Return tables of numbers, texts, lists and one table within, and lists of such, as PLATE.toml has them."""
-    lines: list[str] = []
-    several = [(f"[[{name}]]", each) for name, value in tables.items() if isinstance(value, list) for each in value]
-    for name, table in [(f"[{name}]", value) for name, value in tables.items() if isinstance(value, dict)] + several:
-        lines.append(name)
-        for key, value in table.items():
-            if isinstance(value, dict):
-                inner = ", ".join(f"{side} = {json.dumps(held)}" for side, held in value.items())
-                lines.append(f"{key} = {{ {inner} }}")
-            else:
-                lines.append(f"{key} = {json.dumps(value)}")
-        lines.append("")
-    return "\n".join(lines)
-
-
 def collect(state: State, source: DaemonSource, stop: threading.Event) -> None:
     """Take taps until `stop` is set.
 
-    Raises Stopped if `stop` was set; BusError if the daemon has ended; CalibrationError if the plate is a keypad: what
-    is tapped there may be a PIN, and none of it is kept.
+    Raises Stopped if `stop` was set; BusError if the daemon has ended; CalibrationError without a model of these
+    measures, or if the plate is a keypad: what is tapped there may be a PIN, and none of it is kept.
     """
     refuse_keypad(source.description.keypad)
+    if not (state["result"] or {}).get("model"):
+        raise CalibrationError("there is no model of these measures", "", "fit the plate first")
     state.taps.mkdir(mode=0o700, exist_ok=True)
     atlas = load_atlas(atlas_path(state.model))
     tapper = Tapper(atlas)
     errors = _errors(state, atlas)
     _tell(state, atlas, errors)
+    tapper.orientation = _orientation(state)
     meta = meta_of(source, state.said())
     number = _show_target(state)
     for frame in frames_until(stop, source, "the taps go on once it runs"):
@@ -178,11 +174,17 @@ def collect(state: State, source: DaemonSource, stop: threading.Event) -> None:
         if tapped is None:
             continue
         take(state, tapped, meta, number)
-        number = _show_target(state)
         if not tapped.reason:
-            _tell(state, atlas, errors)
-        told = state["told"]
-        tapper.orientation = ORIENTATIONS.index(told["orientation"]) if told else None
+            misses = _tell(state, atlas, errors)
+            if tapper.orientation is None and _orientation(state) is not None:
+                take_back(state, misses)
+        tapper.orientation = _orientation(state)
+        number = _show_target(state)
+
+
+def _orientation(state: State) -> int | None:
+    """Return the drawing's orientation, one of `ORIENTATIONS`; None before taps tell it."""
+    return ORIENTATIONS.index(state["told"]["orientation"]) if state["told"] else None
 
 
 def take(state: State, tapped: Tapped, meta: Meta, number: int) -> None:
@@ -212,6 +214,20 @@ def undo(state: State) -> bool:
     return bool(taps)
 
 
+def take_back(state: State, misses: list[int]) -> None:
+    """Take back the taps of these indices, which missed their targets: those are the next ones.
+
+    Before taps tell the drawing's orientation, one at the target's mirror image counts as good.
+    """
+    if misses:
+        taps = state["taps"]
+        numbers, target_mm = [taps[k]["number"] for k in misses], taps[misses[0]]["target_mm"]
+        again = [*([number, 0] for number in numbers), *(one for one in state["again"] if one[0] not in numbers)]
+        last = {"ok": False, "reason": "beside", "target_mm": target_mm, "found_mm": None}
+        state.set(taps=[tap for k, tap in enumerate(taps) if k not in misses], again=again, last=last)
+        state.tidy()
+
+
 def tell(state: State) -> None:
     """Tell what the taps do, of the model that is there."""
     atlas = load_atlas(atlas_path(state.model))
@@ -228,14 +244,18 @@ def _errors(state: State, atlas: Atlas) -> ErrorMap | None:
     return ErrorMap(atlas, np.sqrt(frames.var(axis=0, ddof=1, dtype=np.float64).mean()), known)
 
 
-def _tell(state: State, atlas: Atlas, errors: ErrorMap | None) -> None:
-    """Tell what the taps do: the expected error, and, of three or more, their scatter and the drawing's turn."""
+def _tell(state: State, atlas: Atlas, errors: ErrorMap | None) -> list[int]:
+    """Tell what the taps do: the expected error, and, of three or more, their scatter and the drawing's turn.
+
+    Return the indices of taps that fit no place near their targets, while most do.
+    """
     taps = taps_of(read(state.taps), atlas) if state["taps"] else None
-    told, orientation = None, 0
+    told, orientation, misses = None, 0, list[int]()
     if taps is not None and len(state["taps"]) >= LEAST_TO_TELL:
-        orientation, told = told_by(taps, atlas)
+        orientation, told, misses = told_by(taps, atlas)
     # Taps on a drawing that is turned tell nothing of places on it.
     state.set(told=told, expected=None if orientation or not errors else errors.shown(taps))
+    return misses
 
 
 def _show_target(state: State) -> int:
@@ -267,21 +287,3 @@ def _write(state: State, tapped: Tapped, meta: Meta, label_mm: tuple[float, floa
         meta, tapped.frames, sequence + np.arange(count), t_ns + period_ns * np.arange(count), contacts
     ))  # fmt: skip
     return name
-
-
-def compare(state: State, models: dict[str, Path]) -> dict[str, Any]:
-    """Return what each model makes of the taps: their number that fit, how far they lie apart, and what is left."""
-    found: dict[str, Any] = {}
-    for name, path in models.items():
-        try:
-            atlas = load_atlas(atlas_path(path))
-            taps = taps_of(read(state.taps), atlas)
-            refined = refine(atlas, taps)
-        except TouchdError as error:
-            found[name] = {"problem": error.what}
-        else:
-            found[name] = {
-                "used": refined.used, "taps": refined.taps, "scatter_mm": refined.scatter_mm,
-                "unexplained": refined.unexplained,
-            }  # fmt: skip
-    return found

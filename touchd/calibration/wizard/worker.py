@@ -20,8 +20,8 @@ import structlog
 
 from touchd.calibration.wizard import MOST_BYTES
 from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_crosses, take_untouched
-from touchd.calibration.wizard.models import Trial, fit, train
-from touchd.calibration.wizard.state import State, collect, compare, tell, undo
+from touchd.calibration.wizard.models import Trial, compare, fit, train
+from touchd.calibration.wizard.state import State, collect, tell, undo
 from touchd.calibration.wizard.watchers import stay, watch
 from touchd.errors import BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.files import socket_file
@@ -112,12 +112,13 @@ class Worker:
     # -- commands ------------------------------------------------------------------------------------
 
     def _measure(self, asked: dict[str, Any]) -> None:
-        if self._state.is_another(asked["plate"]):
-            if self._state["running"] == "fit" and self._state["taps"]:
-                raise CalibrationError("a fit with the taps runs", "", "wait for its end, or stop it first")
-            if self._state["running"] == "taps":  # its crosses are those of the plate before
+        if self._state.differs(asked["plate"]):
+            if self._state["running"] == "fit":  # its verdict would be on the measures before
+                raise CalibrationError("a fit runs", "", "wait for its end, or stop it first")
+            if self._state["running"] == "taps":  # its model and its crosses are those of the measures before
                 self._halt()
         self._state.set_plate(asked["plate"])
+        self._trial.look()
 
     def _undo(self) -> None:
         """Take back the last good tap."""
@@ -215,14 +216,14 @@ class Worker:
         self._state.set(running=None)
 
     def _with_frames(self, stop: threading.Event, use: Callable[[Any], None]) -> None:
-        """Run `use` on the daemon's frames; while no daemon runs say so, and wait for one."""
+        """Run `use` on the daemon's frames; while no daemon hands out any say why, and wait for one."""
         while not stop.is_set():
             try:
-                with contextlib.closing(open_feed(self._control)) as feed:
+                with contextlib.closing(open_feed(self._control, self._bus, stop)) as feed:
                     self._progress(0.0, "")
                     return use(feed)
             except BusError as error:
-                self._progress(0.0, f"{error.what}: {error.fix}")
+                self._progress(0.0, ": ".join(filter(None, (error.where, error.what, error.fix))))
                 stop.wait(_AGAIN_S)
         raise Stopped
 

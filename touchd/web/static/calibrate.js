@@ -19,7 +19,11 @@ export function mount(root, page) {
     element('button', { type: 'button', ...(primary && { class: 'primary' }), onclick: () => act({ do: command }) }, text);
   const bar = element('progress', { max: 1, value: 0 });
   const share = element('span', { 'aria-hidden': 'true' }), doing = element('p', { class: 'doing', role: 'status' });
-  const form = measures(t.measures, async plate => await act({ do: 'measures', plate }) && choose('untouched'));
+  const form = measures(t.measures, async plate => {
+    const done = await act({ do: 'measures', plate });
+    if (done) choose('untouched');
+    return done;
+  });
   const drops = element('p', { class: 'muted', hidden: true });
   const listen = button(t.untouched.start, 'untouched', true), stop = button(t.untouched.stop, 'pause');
   const again = button(t.fit.again, 'fit');
@@ -96,8 +100,8 @@ export function mount(root, page) {
     }
     root.dataset.step = chosen;
     form.show(plate);
-    drops.hidden = !state.taps.length;
-    say(drops, t.measures.drops(state.taps.length));
+    drops.hidden = !result && !state.taps.length;
+    say(drops, [result && t.measures.drops_fit, state.taps.length && t.measures.drops(state.taps.length)].filter(Boolean).join(' '));
     for (const each of panels) each.hidden = each.dataset.panel !== chosen;
     busy.hidden = !(listening || fitting || taught);
     tapsPanel.hidden = !open.taps || chosen !== 'verdict' && chosen !== 'taps';

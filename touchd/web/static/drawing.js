@@ -2,6 +2,7 @@
 import { colour } from './dom.js';
 import { texts } from './texts.js';
 
+const MOST_MM = 1e5; // as PLATE.toml
 const SMALLEST_PX = 14, LARGEST_PX = 20; // of its letters
 const SPACE = 'http://www.w3.org/2000/svg';
 
@@ -24,6 +25,11 @@ function picture({ mm, top_mm: most }) {
   return canvas.toDataURL();
 }
 
+// Whether a measure is one of a plate: an SVG refuses numbers beyond those of single precision.
+function drawable(mm) {
+  return Math.abs(mm) <= MOST_MM;
+}
+
 export function drawing(label) {
   const root = shape('svg', { class: 'plate-drawing', role: 'img', 'aria-label': label });
   let shown = '', asked = null;
@@ -43,7 +49,7 @@ export function drawing(label) {
     if (key === shown) return;
     shown = key;
     const width = plate.width_mm, height = plate.height_mm;
-    if (!(width > 0 && height > 0)) { root.replaceChildren(); return; }
+    if (!(drawable(width) && drawable(height) && width > 0 && height > 0)) { root.replaceChildren(); return; }
     const large = Math.max(width, height);
     const size = letters(width, height), edge = 2 * size;
     root.setAttribute('viewBox', `${-edge} ${-edge} ${width + 1.4 * edge} ${height + 1.4 * edge}`);
@@ -54,8 +60,8 @@ export function drawing(label) {
     ];
     if (heat) found.splice(1, 0, shape('image', { href: picture(heat), x: 0, y: 0, width, height, preserveAspectRatio: 'none' }));
     for (const [index, [x, y]] of [discs.emitter_mm, ...discs.receivers_mm].entries()) {
-      if (!Number.isFinite(x) || !Number.isFinite(y)) continue;
-      found.push(shape('circle', { class: index ? 'disc' : 'disc emitter', cx: x, cy: y, r: Math.max(discs.diameter_mm / 2, large / 80) || 1 }));
+      if (!drawable(x) || !drawable(y)) continue;
+      found.push(shape('circle', { class: index ? 'disc' : 'disc emitter', cx: x, cy: y, r: Math.max(drawable(discs.diameter_mm) ? discs.diameter_mm / 2 : 0, large / 80) }));
       found.push(shape('text', { class: 'name', x, y, 'font-size': size, dy: '0.35em' }, index ? `${index}` : texts.plate.emitter));
     }
     for (const tap of taps) found.push(shape('circle', { class: 'tap', cx: tap.target_mm[0], cy: tap.target_mm[1], r: large / 110 }));

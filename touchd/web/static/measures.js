@@ -7,19 +7,39 @@ const START = {
   discs: { diameter_mm: 6, emitter_mm: [100, 40], receivers_mm: [[20, 20], [180, 20], [180, 180], [20, 180]] },
 };
 
+const NUMBER = /^\s*[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?\s*$/i;
+
+// A number, with a decimal point or comma; NaN of a text that is not wholly one: of "11 cm" a part would be wrong.
+const numeric = text => (NUMBER.test(text) ? Number(String(text).replace(',', '.')) : NaN);
+
 export function measures(t, save) {
   const picture = drawing(t.drawing);
-  const fields = element('div', { class: 'measures' });
-  const root = element('form', { class: 'measuring', onsubmit: event => { event.preventDefault(); save(read()); } },
-    element('div', {}, fields,
+  const fields = element('div', { class: 'measures' }), others = element('p', { class: 'muted', role: 'status', hidden: true }, t.others);
+  const root = element('form', { class: 'measuring', onsubmit: submit },
+    element('div', {}, fields, others,
       element('div', { class: 'row' },
         element('button', { type: 'submit', class: 'primary' }, t.save),
         element('button', { type: 'button', onclick: () => change(all => all.push([10, 10])) }, t.more),
         element('button', { type: 'button', onclick: () => change(all => all.length > 1 && all.pop()) }, t.less))),
     picture.root);
-  root.addEventListener('input', draw);
+  root.addEventListener('input', event => { typed = true; check(event.target); draw(); });
   root.addEventListener('change', event => event.target.name === 'edge' && change(() => {}));
   let shown = null, kept = {}; // what a PLATE.toml says beyond the form
+  let typed = false; // and not saved
+
+  async function submit(event) {
+    event.preventDefault();
+    typed = false; // the wizard's next state has it
+    typed = !await save(read()) || typed;
+    others.hidden ||= !typed;
+  }
+
+  // The browser shows at the field what is wrong there, and submits nothing.
+  function check(field) {
+    if (field.inputMode !== 'decimal') return;
+    const group = field.closest('fieldset')?.querySelector('legend').textContent, name = field.closest('label').textContent;
+    field.setCustomValidity(field.value && Number.isNaN(numeric(field.value)) ? t.no_number(group ? `${group}, ${name}` : name, field.value) : '');
+  }
 
   function input(name, text, value) {
     return element('label', {}, element('span', {}, text),
@@ -43,11 +63,13 @@ export function measures(t, save) {
       ...(sides ? Object.entries(t.sides).map(([side, text]) => select(`edge.${side}`, `${t.edge}: ${text}`, t.edges, plate.edge[side] ?? 'free')) : []),
       input('diameter_mm', t.diameter_mm, discs.diameter_mm), place('emitter', t.emitter, discs.emitter_mm),
       ...discs.receivers_mm.map((at, index) => place(`receiver${index}`, t.receiver(index + 1), at)));
+    for (const field of fields.querySelectorAll('input')) check(field);
     draw();
   }
 
-  function read() {
-    const said = Object.fromEntries(new FormData(root)), value = name => parseFloat(String(said[name]).replace(',', '.'));
+  // Returns what the form says, its numbers by `value_of` their texts.
+  function read(value_of = numeric) {
+    const said = Object.fromEntries(new FormData(root)), value = name => value_of(said[name]);
     const place = name => [value(`${name}.x`), value(`${name}.y`)], receivers_mm = [];
     while (`receiver${receivers_mm.length}.x` in said) receivers_mm.push(place(`receiver${receivers_mm.length}`));
     const edge = said.edge !== 'each' ? said.edge : Object.fromEntries(Object.keys(t.sides).map(side => [side, said[`edge.${side}`] ?? 'free']));
@@ -60,8 +82,9 @@ export function measures(t, save) {
   }
 
   function change(how) {
-    const now = read();
+    const now = read(text => text); // one that is no number yet stays
     how(now.discs.receivers_mm);
+    typed = true;
     fill(now);
   }
 
@@ -70,11 +93,13 @@ export function measures(t, save) {
   }
 
   fill(START);
-  // Takes what the wizard knows, once: what is being typed stays.
+  // Takes what the wizard knows, once; what is being typed stays, and the person is told that others were saved.
   function show(plate) {
     const key = JSON.stringify(plate);
     if (!plate || key === shown) return;
     shown = key;
+    others.hidden = !typed;
+    if (typed) return;
     kept = plate;
     fill(plate);
   }

@@ -92,6 +92,9 @@ export const texts = {
       materials: ['glass', 'pmma', 'aluminium', 'steel'], sheets: { even: 'alike along both sides', rolled: 'rolled' }, edges: { free: 'free', pads: 'pads', tape: 'tape', clamped: 'clamped' },
       each: 'each side its own', sides: { left: 'Left', right: 'Right', top: 'Top', bottom: 'Bottom' }, constants: 'by its constants',
       more: 'One receiver more', less: 'One less', save: 'Save the measures',
+      no_number: (name, text) => `${name}: “${text}” is no number. Type millimetres without a unit, at most with a decimal point.`,
+      others: 'Other measures were saved meanwhile. Yours are not saved: save them to replace those, or load the page again to see those.',
+      drops_fit: 'If you change any measure, the wizard discards the fit: fit again.',
       drops: n => `If you change size, thickness or material, the wizard discards ${n === 1 ? 'the tap: it belongs' : `the ${n} taps: they belong`} to the old drawing.`,
     },
     untouched: {

@@ -7,7 +7,8 @@ import os
 import signal
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,17 +18,20 @@ import pytest
 
 from tests.unit.calibration.plates import PLATE
 from tests.unit.calibration.wizard.test_tapping import Plate as Tapping
-from touchd.calibration.taps import scatter_of
+from touchd.calibration.taps import scatter_of, taps_of
 from touchd.calibration.walk import target_mm
 from touchd.calibration.wizard import state as session
-from touchd.calibration.wizard.frames import Tapped
+from touchd.calibration.wizard.frames import Stopped
 from touchd.calibration.wizard.state import State
+from touchd.calibration.wizard.tapper import Tapped
 from touchd.errors import CalibrationError, PlateFileInvalid
-from touchd.frame import Plate
+from touchd.frame import Frame, Plate
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
 from touchd.recording.data import Meta
 from touchd.recording.format import read
+from touchd.sources.source import Source
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics.finger import Contact
 from touchd.twin.simulate import meta_of
 
 META = Meta(sample_rate_hz=5e5, bits=16, full_scale_v=1.0, frame_rate_hz=100.0,
@@ -148,9 +152,8 @@ def test_corrected_plate(tmp_path: Path, changed: dict[str, object]) -> None:
         take_measured(state, number)
     state.set(told={"off_mm": 1.0}, compared={})
     state.set_plate(measures(**changed))
-    assert {name: state[name] for name in session._OF_TAPS} == {
-        name: session.NOTHING[name] for name in session._OF_TAPS
-    }
+    dropped = (*session._OF_FIT, *session._OF_TAPS)
+    assert {name: state[name] for name in dropped} == {name: session.NOTHING[name] for name in dropped}
     assert list(state.taps.iterdir()) == []
     take_measured(state, 2)
     assert kept(state.folder) == [2]
@@ -169,6 +172,16 @@ def test_corrected_edge(tmp_path: Path) -> None:
         state.set_plate(measures(width_mm=-1.0))
     take_measured(state, 1)
     assert kept(state.folder) == [0, 1]
+
+
+def test_no_taps_without_a_fit(tmp_path: Path) -> None:
+    """Before a fit, and after one that made no model, taps are refused with what to do."""
+    state = State(tmp_path / "state")
+    feed = cast("Any", SimpleNamespace(description=SimpleNamespace(keypad=False)))
+    for result in (None, {"verdict": "poor", "model": None}):
+        state.set(result=result)
+        with pytest.raises(CalibrationError, match="fit the plate first"):
+            session.collect(state, feed, threading.Event())
 
 
 @pytest.mark.parametrize("scatter_mm", [0.4, 1.4])
@@ -206,6 +219,62 @@ def test_told_scatter(tmp_path: Path, instrument: Instrument, atlas: Atlas) -> N
     true_mm, _ = scatter_of(targets, fingers)
     assert (len(state["taps"]), state["told"]["repeats"]) == (15, 3)
     assert state["told"]["scatter_mm"] == pytest.approx(true_mm, abs=0.1)
+
+
+class Finger(Source):
+    """Frames of a finger that taps: the mirror image of the first target, then each target that is shown."""
+
+    def __init__(self, instrument: Instrument, atlas: Atlas, state: State, taps: int, stop: threading.Event) -> None:
+        self.acquisition = instrument.acquisition
+        self.description = SimpleNamespace(keypad=False, rate_hz=100.0)
+        self.coming = self.frames(Tapping(instrument, atlas), state, taps, stop)
+
+    def frames(self, plate: Tapping, state: State, taps: int, stop: threading.Event) -> Iterator[Frame]:
+        number = itertools.count()
+        for tap in range(taps):
+            x_mm, y_mm = state["target_mm"]
+            at_mm = (x_mm, y_mm) if tap else (PLATE.width_mm - x_mm, y_mm)
+            change = plate.instrument.change([[Contact(*at_mm, 20.0, "silicone")]], [20.0])[0]
+            for heard, count in ((plate.untouched, 60), (plate.untouched + change, 40), (plate.untouched, 20)):
+                for counts in plate.frames(heard, count):
+                    k = next(number)
+                    yield Frame(counts, k, k * 10_000_000, 0)
+        stop.set()
+        yield Frame(counts, k + 1, (k + 1) * 10_000_000, 0)
+
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002
+        return next(self.coming)
+
+    def close(self) -> None:
+        return None
+
+
+def collected(folder: Path, instrument: Instrument, atlas: Atlas, taps: int) -> State:
+    """Return the state after so many taps, the first of them at its target's mirror image."""
+    state = State(folder)
+    state.set_plate(measures())
+    state.set(result={"model": "m"})
+    save_atlas(atlas, atlas_path(state.model))
+    stop = threading.Event()
+    with suppress(Stopped):
+        session.collect(state, cast("Any", Finger(instrument, atlas, state, taps, stop)), stop)
+    return state
+
+
+def test_mirror_image_is_taken_back(tmp_path: Path, instrument: Instrument, atlas: Atlas) -> None:
+    """The first tap, 40 mm off at the target's mirror image, counts until two good ones tell that the drawing is not
+    mirrored; its target comes again, and the taps can be read without it."""
+    state = collected(tmp_path / "two", instrument, atlas, 2)
+    assert ([tap["number"] for tap in state["taps"]], state["told"]) == ([0, 1], None)
+    state = collected(tmp_path / "three", instrument, atlas, 3)
+    first_mm = state["last"]["target_mm"]
+    assert (state["last"]["ok"], state["last"]["reason"], state["target_mm"]) == (False, "beside", first_mm)
+    assert [tap["number"] for tap in state["taps"]] == [1, 2]
+    label_mm = taps_of(read(state.taps), atlas).label_mm
+    assert label_mm == pytest.approx(np.array([tap["target_mm"] for tap in state["taps"]]))
+    state = collected(tmp_path / "five", instrument, atlas, 5)
+    assert [tap["number"] for tap in state["taps"]] == [1, 2, 0, 3]
+    assert (state["told"]["orientation"], state["last"]["ok"]) == ("", True)
 
 
 def test_keypad(tmp_path: Path) -> None:

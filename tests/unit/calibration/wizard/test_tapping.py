@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from touchd.calibration.wizard.frames import Tapped, Tapper
+from touchd.calibration.wizard.tapper import Tapped, Tapper
 from touchd.frame import Frame
 from touchd.localization.atlas import Atlas
 from touchd.twin.electronics import Digitiser, Electronics
@@ -107,10 +107,23 @@ def test_two(plate: Plate) -> None:
     assert plate.tap(TARGET_MM, (80.0, 60.0)).reason == "no_fit"
 
 
-def test_beside(plate: Plate) -> None:
-    """A tap 25 mm off is beside the ring, or fits nowhere near it, once the drawing's orientation is known."""
+@pytest.mark.parametrize("orientation", [None, 0])
+@pytest.mark.parametrize("off_mm", [13, 18, 25])
+def test_beside(plate: Plate, off_mm: float, orientation: int | None) -> None:
+    """A tap far from the ring is beside it, also before the drawing's orientation is known."""
+    plate.tapper.orientation = orientation
+    assert plate.tap((40.0 + 0.7 * off_mm, 30.0 + 0.7 * off_mm)).reason == "beside"
+
+
+def test_mirror_image(plate: Plate) -> None:
+    """A tap at the ring's mirror image is good while the drawing may be mirrored, and beside it once that is known."""
+    image_mm = (110.0 - TARGET_MM[0], TARGET_MM[1])
+    assert plate.tap(image_mm).reason == ""
     plate.tapper.orientation = 0
-    assert plate.tap((65.0, 30.0)).reason in ("beside", "no_fit")
+    assert plate.tap(image_mm).reason == "beside"
+    plate.tapper.orientation = 1
+    assert plate.tap(image_mm).reason == ""
+    assert plate.tap(TARGET_MM).reason == "beside"
 
 
 def test_middle(instrument: Instrument, atlas: Atlas) -> None:

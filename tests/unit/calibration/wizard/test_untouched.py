@@ -9,9 +9,11 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 
 from tests.unit.calibration.plates import PLATE
 from touchd.calibration.wizard.frames import FINGER, take_untouched
+from touchd.errors import PlateMismatch
 from touchd.frame import Frame
 from touchd.recording.format import read
 from touchd.twin.electronics import Digitiser, Electronics
@@ -34,6 +36,18 @@ def frames(instrument: Instrument) -> Iterator[Frame]:
         yield Frame(counts, number, number * 10**9 // RATE_HZ, 0)
 
 
+def said(receivers: int = 3) -> Any:
+    """What was measured."""
+    return SimpleNamespace(described=lambda: PLATE, discs=SimpleNamespace(receivers_mm=[(12.0, 12.0)] * receivers))
+
+
+def test_another_number_of_receivers(instrument: Instrument, tmp_path: Path) -> None:
+    """A receiver too many is said before the first frame is taken: the fit would say it after the seconds."""
+    source = cast("Any", SimpleNamespace(acquisition=instrument.acquisition))
+    with pytest.raises(PlateMismatch, match="3 channels, but 4 receivers"):
+        take_untouched(source, said(4), tmp_path / "untouched.npz", 1.0, threading.Event(), lambda *_: None)
+
+
 def test_finger(instrument: Instrument, tmp_path: Path) -> None:
     """A finger begins the seconds and their progress again: the recording has the frames after it, without a gap."""
     coming, told = frames(instrument), list[tuple[float, str]]()
@@ -42,9 +56,8 @@ def test_finger(instrument: Instrument, tmp_path: Path) -> None:
         description=SimpleNamespace(rate_hz=float(RATE_HZ)),
     )  # fmt: skip
     path = tmp_path / "untouched.npz"
-    said = SimpleNamespace(described=lambda: PLATE)
     take_untouched(
-        cast("Any", source), cast("Any", said), path, WANTED / RATE_HZ, threading.Event(),
+        cast("Any", source), said(), path, WANTED / RATE_HZ, threading.Event(),
         lambda share, note: told.append((share, note)),
     )  # fmt: skip
     found = read(path)

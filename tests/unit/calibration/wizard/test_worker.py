@@ -17,15 +17,17 @@ import zmq
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.unit.bridges.events import contact, touch
+from tests.unit.bridges.events import contact, health, touch
 from touchd.bridges.area import CROSSES, Touched
+from touchd.calibration.plate_file import to_toml
 from touchd.calibration.wizard import worker as worker_module
 from touchd.calibration.wizard.frames import Stopped, keep, take_crosses
-from touchd.calibration.wizard.state import State, to_toml
+from touchd.calibration.wizard.kept import held_folder
+from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.worker import ENDING, Worker
 from touchd.cli.main import main
 from touchd.config.load import load
-from touchd.errors import BridgeError, CalibrationError
+from touchd.errors import BridgeError, CalibrationError, OutputError
 from touchd.event import Event, Phase, PlateEvent, PlateKey, encode
 from touchd.localization.model import default_model_path
 from touchd.localization.model_file import digest, install, previous_path, rollback
@@ -85,7 +87,7 @@ def test_measures(tmp_path: Path) -> None:
 
 
 def test_measures_while_tapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measures of another plate end the tapping, whose crosses are those of the plate before; others leave it alone."""
+    """Other measures end the tapping, whose model and crosses are those of the measures before; the same do not."""
     begun = threading.Event()
 
     def collect(_state: State, _feed: object, stop: threading.Event) -> None:
@@ -94,32 +96,54 @@ def test_measures_while_tapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         raise Stopped
 
     monkeypatch.setattr(worker_module, "collect", collect)
-    monkeypatch.setattr(worker_module, "open_feed", lambda _: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(worker_module, "open_feed", lambda *_: SimpleNamespace(close=lambda: None))
     worker, state = made(tmp_path)
     worker.answer({"do": "measures", "plate": PLATE})
-    worker.answer({"do": "taps"})
-    begun.wait()
-    for table in (PLATE, PLATE | {"plate": PLATE["plate"] | {"edge": "tape"}}, PLATE | {"plate": {}}):
-        worker.answer({"do": "measures", "plate": table})
-        assert state["running"] == "taps"
-    assert worker.answer({"do": "measures", "plate": PLATE | {"plate": PLATE["plate"] | {"width_mm": 112.0}}})["ok"]
-    assert state["running"] is None
+    for changed in ({"edge": "tape"}, {"width_mm": 112.0}):
+        worker.answer({"do": "taps"})
+        begun.wait()
+        for table in (state["plate"], PLATE | {"plate": {}}):
+            worker.answer({"do": "measures", "plate": table})
+            assert state["running"] == "taps"
+        assert worker.answer({"do": "measures", "plate": PLATE | {"plate": PLATE["plate"] | changed}})["ok"]
+        assert state["running"] is None
 
 
 def test_measures_while_fitting(tmp_path: Path, fits: list[threading.Event]) -> None:
-    """Measures of another plate wait for a fit with taps, which reads them; others do not."""
+    """Other measures wait for a fit, whose verdict is on those that it read; the same are taken."""
     worker, state = made(tmp_path)
     worker.answer({"do": "measures", "plate": PLATE})
-    state.set(taps=[{"number": 0, "chunk": "0000.npz", "target_mm": [20.0, 20.0]}])
     worker.answer({"do": "fit"})
     await_that(lambda: len(fits) == 1)
-    another = PLATE | {"plate": PLATE["plate"] | {"width_mm": 112.0}}
-    assert "stop it first" in worker.answer({"do": "measures", "plate": another})["fix"]
-    assert (len(state["taps"]), state["running"]) == (1, "fit")
+    others = PLATE | {"discs": PLATE["discs"] | {"emitter_mm": [21.0, 50.0]}}
+    assert "stop it first" in worker.answer({"do": "measures", "plate": others})["fix"]
+    assert (state["plate"], state["running"]) == (PLATE, "fit")
     assert worker.answer({"do": "measures", "plate": PLATE}) == {"ok": True}
     worker.answer({"do": "pause"})
-    assert worker.answer({"do": "measures", "plate": another}) == {"ok": True}
-    assert state["taps"] == []
+    assert worker.answer({"do": "measures", "plate": others}) == {"ok": True}
+
+
+@pytest.mark.parametrize("changed", [{"plate": {"width_mm": 140.0}}, {"discs": {"emitter_mm": [21.0, 50.0]}}])
+@pytest.mark.parametrize("tried", [False, True])
+def test_measures_after_a_fit(tmp_path: Path, changed: dict[str, dict[str, Any]], tried: bool) -> None:
+    """Other measures discard the fit: no verdict, no taps, and its model in use is an earlier one. The same do not."""
+    worker, state = made(tmp_path)
+    install(SHIPPED, tmp_path / "model.onnx")
+    worker.answer({"do": "measures", "plate": PLATE})
+    install(SHIPPED.with_name("small.onnx"), state.model)
+    known = {"result": RESULT, "compared": {"new": {}}, "expected": {"mm": [[1.0]]}, "told": {"orientation": ""}}
+    state.set(**known)
+    worker.answer({"do": "try"})
+    if not tried:
+        worker.answer({"do": "take"})
+    said = {name: table | {"rolled": False} if name == "plate" else table for name, table in PLATE.items()}
+    assert worker.answer({"do": "measures", "plate": said}) == {"ok": True}  # as a page says the same
+    assert ({name: state[name] for name in known}, state["runs"]) == (known, "fitted")
+    others = {name: table | changed.get(name, {}) for name, table in PLATE.items()}
+    assert worker.answer({"do": "measures", "plate": others}) == {"ok": True}
+    assert {name: state[name] for name in known} == dict.fromkeys(known)
+    assert state["runs"] == ("earlier" if tried else "before")
+    assert worker.answer({"do": "try"})["ok"] is False
 
 
 def test_toml() -> None:
@@ -388,6 +412,20 @@ def test_no_daemon(tmp_path: Path) -> None:
     worker.answer({"do": "pause"})
 
 
+def test_daemon_without_control_socket(tmp_path: Path, publish: Callable[[str, Event], None]) -> None:
+    """Of a daemon that publishes and does not listen at the control socket, the seconds say what to set."""
+    worker, state = made(tmp_path)
+    worker.answer({"do": "measures", "plate": PLATE})
+    worker.answer({"do": "untouched"})
+
+    def told() -> bool:
+        publish("health", health(t_ns=time.monotonic_ns()))
+        return f"{tmp_path}/no-daemon: a daemon runs, but does not listen there: set control.s" in state["note"]
+
+    await_that(told)
+    worker.answer({"do": "pause"})
+
+
 def test_first_model(tmp_path: Path) -> None:
     """A model is tried where none ran, and taken; one cannot go back, which is said, and the trial stays one."""
     worker, state = made(tmp_path)
@@ -507,3 +545,18 @@ def test_folder_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     (tmp_path / "file").touch()
     assert main(["wizard", "--socket", str(tmp_path / "socket"), "--folder", str(tmp_path / "file")]) == 90
     assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+def test_two_in_one_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A wizard keeps out of the folder of another, whose taps it would remove; of one that has ended it is free."""
+    _, state = made(tmp_path)
+    state.taps.mkdir()
+    (state.taps / "0000.npz").write_bytes(b"a tap that the state names in a moment")
+    asked = ["wizard", "--socket", str(tmp_path / "file/socket"), "--folder", str(state.folder)]
+    with held_folder(state.folder):
+        assert main(asked) == OutputError.exit_code
+        assert "another wizard keeps its files there -> stop it, or name another" in capsys.readouterr().err
+        assert (state.taps / "0000.npz").exists()
+    assert main(asked) == OutputError.exit_code
+    assert "socket" in capsys.readouterr().err
+    assert not (state.taps / "0000.npz").exists()
