@@ -260,14 +260,11 @@ class Follower:
             again = self._solver.fit_shapes(bins, fit, self._noise.noise_energy, _SHAPE_STEPS)
             left = self._noise.excess(again.residual_energy, signal)
             explained = max(known.excess, CRITERIA.enough, CRITERIA.shape_grown * excess)
-            if explained <= left < CRITERIA.fair < excess and len(positions_mm) == 1:
-                # It has pressed so quickly that two steps do not get there.
-                again = self._solver.fit_shapes(bins, again, self._noise.noise_energy, _SHAPE_STEPS)
-                left = self._noise.excess(again.residual_energy, signal)
             if left < explained or (left < CRITERIA.good and self._waited(t_ns)):
                 return again
             if excess > CRITERIA.fair:
-                return no_fit(bins.energy)
+                # One that presses quickly is not at its shape yet, and a point would leave far more.
+                return again if len(positions_mm) == 1 and left < CRITERIA.fair else no_fit(bins.energy)
         else:
             self._doubted_ns = None
         self._last = fit

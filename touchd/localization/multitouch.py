@@ -38,7 +38,7 @@ _GAIN = 0.8
 _OUTDATED = 4.0
 """A search for fingers that land begins again once the signal has grown by this factor, and beside others once what
 they leave has: they were faint at first."""
-_LACKS = 2.0
+_LACKS = 1.5
 """Fingers are kept without which this many times as much would be left, if no more were found."""
 _LIKE, _PATIENT_FRAMES = 0.95, 5
 """So it does if less than this share of the signal is along the first frame's so many frames later: that one was
