@@ -22,6 +22,9 @@ _PERIOD_S = 0.05
 """The folder is looked at this often at most, however many clients knock."""
 _IDLE_S = 1.0
 """And this often if none does: a key may be taken away."""
+_AGAIN_S = 600.0
+"""A client that is refused knocks every few seconds, for years if it is forgotten: it is logged this often."""
+_MOST_TOLD = 256
 _MOST_PER_POLL = 16  # a flood must not delay a frame
 
 
@@ -35,6 +38,7 @@ class Authenticator:
         self._keys = keys
         self._looked_s = -float("inf")
         self._refused = Throttle("subscriber refused")
+        self._told_s: dict[bytes, float] = {}  # by key: when its refusal was logged
         self._socket = context.socket(zmq.REP)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.bind(_ENDPOINT)
@@ -65,13 +69,24 @@ class Authenticator:
     def _answer(self, request: list[bytes]) -> list[bytes]:
         """Return the reply: version, request id, status, its text, user, metadata."""
         version, request_id, _domain, address, _routing_id, mechanism, *credentials = request
-        if mechanism == b"CURVE" and len(credentials) == 1 and (key := z85.encode(credentials[0])) in self._keys:
+        key = z85.encode(credentials[0]) if mechanism == b"CURVE" and len(credentials) == 1 else b""
+        if key in self._keys:
+            self._told_s.pop(key, None)
             # By user, which ZAP has for that, libzmq 4.3.5 lets no subscription of the client through.
             return [version, request_id, b"200", b"OK", b"", _property(KEY, key)]
-        self._refused.warn(peer=address.decode("ascii", "replace"), reason="its key is unknown")
+        self._tell(key, address.decode("ascii", "replace"))
         # While the folder cannot be read nobody knows: 300 lets the client try again, 400 tells it not to.
         status = b"400" if self._keys.current else b"300"
         return [version, request_id, status, b"unknown key", b"", b""]
+
+    def _tell(self, key: bytes, peer: str) -> None:
+        now_s = time.monotonic()
+        if now_s - self._told_s.get(key, -_AGAIN_S) < _AGAIN_S:
+            return
+        if self._refused.warn(peer=peer, reason="its key is unknown"):
+            if len(self._told_s) >= _MOST_TOLD:
+                self._told_s.clear()
+            self._told_s[key] = now_s
 
 
 def _property(name: str, value: bytes) -> bytes:

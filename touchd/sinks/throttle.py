@@ -20,14 +20,15 @@ class Throttle:
         self._next_s = -float("inf")
         self._unlogged = 0
 
-    def warn(self, **fields: object) -> None:
-        """Log the event with these fields, or count it."""
+    def warn(self, **fields: object) -> bool:
+        """Log the event with these fields, or count it; return whether it was logged."""
         now_s = self._clock()
         if now_s < self._next_s:
             self._unlogged += 1
-            return
+            return False
         self._next_s = now_s + PERIOD_S
         if self._unlogged:
             fields["unlogged"] = self._unlogged
             self._unlogged = 0
         log.warning(self._event, **fields)
+        return True

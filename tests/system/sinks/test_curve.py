@@ -15,7 +15,7 @@ from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Event, KeyEvent
-from touchd.sinks import curve, peers, reconnect, zeromq
+from touchd.sinks import curve, peers, reconnect, throttle, zeromq
 from touchd.sinks.zeromq import ZeromqSink
 
 Bus = Callable[..., ZeromqSink]
@@ -220,6 +220,22 @@ def test_who_is_refused_is_logged(bus: Bus, keys: Path) -> None:
     refused = [line for line in logs if line["event"] == "subscriber refused"]
     assert [line["peer"].partition(":")[0] for line in refused] == ["127.0.0.1"]
     assert [line["reason"] for line in refused] == ["its key is unknown"]
+
+
+def test_a_stranger_that_knocks_again_is_not_logged_again(
+    bus: Bus, keys: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A display whose key was taken away once filled the log, a line every five seconds."""
+    monkeypatch.setattr(throttle, "PERIOD_S", 0.0)
+    sink = bus(curve_clients=keys.parent / "clients")
+    with capture_logs() as logs:
+        with subscriber(sink, keys, "stranger") as stranger:
+            wait_for_refusal(sink, stranger, logs)
+        with subscriber(sink, keys, "stranger") as stranger:
+            for _ in range(5):
+                assert gets_nothing(stranger)
+                sink.poll()
+    assert [line["reason"] for line in logs if line["event"] == "subscriber refused"] == ["its key is unknown"]
 
 
 def test_without_a_folder_of_clients_the_servers_key_is_enough_and_needed(bus: Bus, keys: Path) -> None:
