@@ -254,7 +254,7 @@ def test_a_verb_finds_its_packages(verb: str) -> None:
 
 
 def test_a_missing_package_is_explained() -> None:
-    """Whatever is imported anywhere comes with the base, or the command line says with which extra."""
+    """Each package that is imported comes with the base, or the command line says with which extra."""
     everything = {name for path in NAMES.values() for name in modules(statements(path))}
     alone = {"h5py"}  # for a script of the lab, of the extra `dev`
     assert packages(everything) - listed() - alone <= {DISTRIBUTIONS.get(name, name) for name in EXTRAS}

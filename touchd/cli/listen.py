@@ -18,7 +18,7 @@ from touchd.errors import BusTimeout
 from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent, TruthEvent, encode
 
 _SILENT_S = 5.0
-"""A daemon that is not heard for so long may never be."""
+"""Time without a message after which the command says what to check."""
 
 
 @click.command()
@@ -54,7 +54,7 @@ def command(
     A touch prints a line when it goes down, moves and goes up. The bus keeps the last message of each topic, so the
     first line can be older than the command.
     """
-    # A daemon says each second how it is: where none does, somebody waits in vain.
+    # A daemon that is heard at all says each second how it is.
     health = until_stopped or timeout_s is None
     wanted = (*topics, "health") if health and "health" not in topics else topics
     with Subscriber(address, wanted, timeout_s, server_key, client_key, max_age_s=None) as events, _ending_quietly():
@@ -67,7 +67,7 @@ def command(
 
 
 def _first(events: Subscriber[Event]) -> Iterator[Event]:
-    """Yield all events; tell once if there is none for a while, as of a daemon that does not know the key."""
+    """Yield all events; if the first is late, print what to check: the daemon may not know the key."""
     try:
         yield events.receive(_SILENT_S)
     except BusTimeout as error:

@@ -45,10 +45,10 @@ SAME_MM, LATELY_NS = 12.0, 500_000_000
 """Contacts nearer than that in two frames are one. Before a palm is known those count that it showed within this time:
 of a hand that lands at once soon nothing is placed any more."""
 LANDS_NS = 500_000_000
-"""So long after it is known it still lands: what comes within reach of a part of it is another part. A forearm and a
-flat hand are longer than its reach."""
+"""A palm still lands for this time after it is known: contacts within reach of one of its parts are further parts. A
+forearm and a flat hand are longer than its reach."""
 RESTS_NS = 300_000_000
-"""Fingers that have been there for so long when a palm comes are no parts of it."""
+"""Fingers that had rested for this time when a palm came are not its parts."""
 GONE_NS = 300_000_000
 """A palm is forgotten when no contact has been within its reach for so long."""
 FADES = 0.1
@@ -152,7 +152,8 @@ class Palm:
             self._since_ns = t_ns if self._since_ns is None or not self._alike else min(t_ns, self._since_ns)
             self._alike = True
             if t_ns - self._since_ns >= STAYS_NS:
-                self._known_ns = t_ns if self.area is None else self._known_ns
+                if self.area is None:
+                    self._known_ns = t_ns
                 self.area = self._area()
                 self.see(t_ns)
         elif excess <= UNLIKE:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # `hold` comes before all that takes its time to import
 
 _HELD = (signal.SIGHUP, signal.SIGUSR1)
 _AGAIN_S = 0.02
+"""While modules are imported, a signal that ends a verb waits, and looks again after so long."""
 
 
 def stops() -> list[signal.Signals]:
@@ -89,7 +90,7 @@ def unwound() -> Iterator[None]:
         signal.signal(number, handle)
     try:
         yield
-    except BaseException:
+    except BaseException:  # a library may have made another error of it: the process ends by the signal
         if not came:
             raise
     finally:

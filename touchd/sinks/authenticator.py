@@ -24,7 +24,7 @@ _IDLE_S = 1.0
 """And this often if none does: a key may be taken away."""
 _AGAIN_S = 600.0
 """A client that is refused knocks every few seconds, for years if it is forgotten: it is logged this often."""
-_MOST_TOLD = 256
+_MOST_TOLD = 256  # keys remembered for that: strangers can make any number
 _MOST_PER_POLL = 16  # a flood must not delay a frame
 
 

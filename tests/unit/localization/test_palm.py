@@ -113,7 +113,7 @@ FOREARM = fit_of({HEEL: 1.2 * MOMENT_MM2, BALL: 2.0, FAR: 2.0, FARTHER: 2.0}, 10
 
 
 def test_forearm() -> None:
-    """What lands with a palm, one part within reach of the next, is a part; what lands later far away is none."""
+    """What lands with a palm, each within reach of the next, are its parts; what lands later is a finger."""
     palm, t_ns = seen(HUGE, 0.0)
     assert t_ns is not None
     assert palm.contacts(FOREARM, 0.0, 1.0, t_ns + FRAME_NS) == {0, 1, 2, 3}

@@ -51,7 +51,7 @@ print("ready", flush=True)
 try:
     while signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         time.sleep(0.01)
-except BaseException:
+except BaseException:  # as an optional import that fails
     pass
 """
 

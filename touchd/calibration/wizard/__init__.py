@@ -6,10 +6,11 @@ page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
 - `watchers.py`: says each change of the state to whoever watches; keeps the socket's file there
 - `state.py`: what is known so far, on disk after each step and tap: a restart goes on from there. What taps tell says
   `touchd.calibration.taps`
-- `kept.py`: the state's file as an earlier process left it, unless it is damaged
+- `kept.py`: the folder, which one wizard holds, and the state's file as an earlier process left it
 - `frames.py`: ten seconds that nobody touches; a finger begins them again. Where the screen lies, by touches at crosses
 - `tapper.py`: what a tap is worth; where to tap says `touchd.calibration.walk`
-- `models.py`: `touchd calibrate` and `touchd train` in a child process; a model on trial in the daemon
+- `models.py`: `touchd calibrate` and `touchd train` in a child process; a model on trial in the daemon; what each model
+  makes of the taps
 
 The socket takes one JSON object a line, and answers with one.
 """

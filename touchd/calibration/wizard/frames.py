@@ -42,7 +42,7 @@ FINGER = "finger"
 SILENT_S = 3.0
 """A daemon that runs says its health each second."""
 HEALTH_S = 1.5
-"""Long enough to hear it."""
+"""A running daemon is heard within this time: it publishes its health each second."""
 _LOOK_S = 0.2
 _TAKEN_S = 15.0
 """How long touchd-mapping.service may need."""
@@ -116,7 +116,7 @@ def take_untouched(
     """Write frames that nobody touches to `path`.
 
     Raises Stopped if `stop` was set; BusError if the daemon has ended; PlateMismatch if no fit can follow: channels
-    and receivers differ in number, or the chirp is none for a plate.
+    and receivers differ in number, or the chirp suits no plate.
     """
     check_chirp(source.acquisition, "the daemon's frames")
     check_channels(source.acquisition.channels, said, "the daemon's frames")

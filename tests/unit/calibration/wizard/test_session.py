@@ -242,7 +242,7 @@ class Finger(Source):
         stop.set()
         yield Frame(counts, k + 1, (k + 1) * 10_000_000, 0)
 
-    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the source's signature
         return next(self.coming)
 
     def close(self) -> None:
