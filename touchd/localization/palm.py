@@ -7,7 +7,7 @@ finger until the next one is there. What tells a hand (twin; patches of 40 to 25
 contacts  of a hand: amplitude in all, share of the signal left    of fingers, at most
 ========  =======================================================  ============================
 1         9 to 26, 0.04 to 0.49                                    thumbs of 240 mm^2: 19, 0.084
-2         18 to 30, 0.03 to 0.13                                   two thumbs: 24, 0.026
+2         18 to 30, 0.03 to 0.13, 25 to 45 mm apart                two thumbs: 30, 0.098
 3, 4      34 to 45, 0.04 to 0.08; a mean moment up to 5            0.03; moments of thumbs, 4.0
 ========  =======================================================  ============================
 """
@@ -29,7 +29,7 @@ of dry glass where a drop was learned, the shape is noise."""
 LARGE_MM2, LARGE_SIZE, LARGE_TOGETHER, UNLIKE = 2.7, 13.0, 22.0, 0.04
 """Or one as large as a thumb has such an amplitude, or several together, and the fit leaves such a share, ..."""
 UNLIKE_ALONE = 0.1
-"""... of one alone this share, since a thumb that presses firmly leaves nearly as much, ..."""
+"""... of one alone, or of two farther apart than heels are, this share: thumbs that press leave nearly as much, ..."""
 HUGE_SIZE = 15.0
 """Or one of so many has such an amplitude, ..."""
 POOR_SIZE, POOR = 5.0, 0.3
@@ -143,9 +143,11 @@ class Palm:
             for z, shape, size in zip(fit.amplitudes, fit.shapes, sizes, strict=False)
         ]
         huge = len(moments_mm2) >= CONTACTS and (max(moments_mm2) > MOMENT_MM2 or max(sizes) > HUGE_SIZE)
-        large = sum(size for size, moment_mm2 in zip(sizes, moments_mm2, strict=False) if moment_mm2 > LARGE_MM2)
-        share, size = (UNLIKE_ALONE, LARGE_SIZE) if len(sizes) == 1 else (UNLIKE, LARGE_TOGETHER)
-        unlike = excess > share and large > size
+        of_large = [size for size, moment_mm2 in zip(sizes, moments_mm2, strict=False) if moment_mm2 > LARGE_MM2]
+        if len(sizes) == 1 or (len(sizes) == 2 and math.dist(*fit.positions_mm) > REACH_MM):
+            unlike = excess > UNLIKE_ALONE and max(of_large, default=0.0) > LARGE_SIZE
+        else:
+            unlike = excess > UNLIKE and sum(of_large) > LARGE_TOGETHER
         if any(sizes):
             self._remember(fit, sizes, t_ns)
         if huge or unlike or (excess > POOR and sum(sizes) > POOR_SIZE):
