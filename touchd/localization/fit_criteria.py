@@ -57,6 +57,10 @@ class FitCriteria:
     """Points that leave less than this share pay for no shape: a robot's soft tip leaves 0.003 to 0.01 (twin)."""
     lone_shape_above: float = 0.0005
     """The same of one point."""
+    large_above: float = 0.1
+    """Where contacts of typical size leave more than this share, large ones may leave less: thumbs that press."""
+    missing: float = 0.5
+    """Contacts of a usual size that leave more than this share have fingers missing beside them."""
     shape_grown: float = 0.15
     """A followed finger's shape has changed if another one leaves less than this share of what its own leaves."""
     shape_worth: float = 0.4

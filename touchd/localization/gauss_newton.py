@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from touchd.localization import joint
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
+from touchd.localization.contact_model import LARGE, TYPICAL, ContactModel, size_mm2
 from touchd.localization.fit import SHAPE_COST, Bins, Fit, Matrix, Steps, as_points, finish, no_fit, shapes_of, sizes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.spline import ContactField, Position, Shape, Spline
@@ -26,9 +26,7 @@ LONGEST_STEP_MM = 3.0
 """About a tenth of the field's wavelength: a longer step would leave the valley that it starts in."""
 STILL_MM = 0.2
 """After a shorter step the next one, of second order, would be less than 0.01 mm in 95 of 100 cases (twin)."""
-_SHAPE_STEPS = 3
-_MISSING = 0.5
-"""Contacts of typical size that leave more than this share have fingers missing beside them."""
+_SHAPE_STEPS, _SIZE_STEPS = 3, 2
 _STILL_TOGETHER_MM = STILL_MM / 4
 """After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
 _I = np.complex64(1j)
@@ -164,17 +162,20 @@ class GaussNewton:
 
         The fit stays as it is unless its contacts get shapes that fingers have, and these leave less than a share of
         what points leave, and explain more than noise. While fingers are `lacking`, to leave less is enough, and
-        contacts of typical size do: no shape explains all, but each leaves the next finger clearer.
+        contacts of a usual size do: no shape explains all, but each leaves the next finger clearer.
         """
         signal, left, count = bins.energy - noise_energy, fit.residual_energy - noise_energy, len(fit.positions_mm)
         above = CRITERIA.lone_shape_above if count == 1 else CRITERIA.shape_above
         if not count or signal < CRITERIA.faint * noise_energy or left <= above * signal:
             return fit
         worth = 1.0 if lacking else CRITERIA.lone_shape_worth if count == 1 else CRITERIA.shape_worth
-        sized = self.fit_known(bins, fit.positions_mm, _SHAPE_STEPS, [TYPICAL] * count)
-        yield float(count * _SHAPE_STEPS)
-        start = min(fit, sized, key=lambda one: one.residual_energy)
-        missing = lacking and start.residual_energy - noise_energy > _MISSING * signal
+        start, steps = fit, _SIZE_STEPS if lacking else _SHAPE_STEPS
+        for usual in (TYPICAL, LARGE):
+            if usual is TYPICAL or (lacking and start.residual_energy - noise_energy > CRITERIA.large_above * signal):
+                sized = self.fit_known(bins, fit.positions_mm, steps, [usual] * count)
+                yield float(count * steps)
+                start = min(start, sized, key=lambda one: one.residual_energy)
+        missing = lacking and start.residual_energy - noise_energy > CRITERIA.missing * signal
         shaped = start if missing else (yield from self._shape_pieces(bins, start, noise_energy, _SHAPE_STEPS))
         if not shaped.positions_mm and lacking:
             shaped = start

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from touchd.localization.atlas import Array
 from touchd.localization.finger_count import LARGE, FingerCount
 from touchd.localization.fit import Bins, Fit, Steps, finish, no_fit
 from touchd.localization.fit_criteria import CRITERIA
@@ -42,7 +43,8 @@ _LACKS = 1.5
 """Fingers are kept without which this many times as much would be left, if no more were found."""
 _LIKE, _PATIENT_FRAMES = 0.95, 5
 """So it does if less than this share of the signal is along the first frame's so many frames later: that one was
-measured while they came, and what is found in it is of no use."""
+measured while they came, and what is found in it is of no use. If the next frame was unlike it already, it begins again
+with one that is like the frame before: they have come."""
 _LANDED = 0.05
 """Others have landed during a search if what it has found leaves more than this share. Of five that move 13 contacts in
 750 break with 0.1, 1 with 0.05; with 0.015 taps between drops are missed (twin)."""
@@ -83,6 +85,7 @@ class MultitouchSearch:
         self._tracked, self._begun, self._begun_ns, self._credit = False, 0.0, 0, 0.0  # of the search that goes on
         self._grown = 0  # fingers from which it went on in a later frame
         self._frames = 0  # in which it went on
+        self._last: tuple[Array, float] | None = None  # the frame before, and its signal; None unless they were coming
         self._looks = False  # whether it looks for what resting fingers lack; what comes beside them goes first
 
     @property
@@ -209,7 +212,7 @@ class MultitouchSearch:
         self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
         self._waiting_ns = self._waiting_ns if self._rang else self._t_ns
         self._rang &= self._t_ns < self._silent_ns
-        self._grown, self._frames, self._credit, self._looks = 0, 0, 0.0, False
+        self._grown, self._frames, self._last, self._credit, self._looks = 0, 0, None, 0.0, False
         self._running = self._all(self._first, fit, signal, len(fit.positions_mm) if tracked else 0, grow=tracked)
         return self._running
 
@@ -217,10 +220,13 @@ class MultitouchSearch:
         """Return whether the search that goes on, if any, began with a frame unlike this one, noise apart."""
         if self._running is None or self._first is None:
             return False
-        if self._frames < _PATIENT_FRAMES:
-            return signal > _OUTDATED * self._begun
-        along = float(self._first.vector @ bins.vector)
-        return signal > _OUTDATED * self._begun or along**2 < _LIKE * self._begun * signal
+        if signal > _OUTDATED * self._begun:
+            return True
+        last, first = self._last, (self._first.vector, self._begun)
+        unlike = not _alike(first, now := (bins.vector, signal))
+        if last or (unlike and self._frames == 1):
+            self._last = bins.vector.copy(), signal
+        return unlike and (self._frames >= _PATIENT_FRAMES or (last is not None and _alike(last, now)))
 
     def _allowance(self, fit: Fit, *, landing: bool) -> float:
         """Return how many look-ups the search may take in this frame; what was fitted in it has taken some of them."""
@@ -270,3 +276,8 @@ class MultitouchSearch:
         self._searched_ns = self._t_ns
         self._unexplained = min(max(excess, 0.0) * signal, self._sought)
         return found, known
+
+
+def _alike(one: tuple[Array, float], other: tuple[Array, float]) -> bool:
+    """Return whether two frames, given as bins and signal, are of the same fingers at the same places."""
+    return float(one[0] @ other[0]) ** 2 >= _LIKE * one[1] * other[1]

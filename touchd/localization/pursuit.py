@@ -19,7 +19,8 @@ from touchd.localization.spline import Position
 MOST_FINGERS = 5
 SCAN_NODES = 2
 """Spacing of the scan, 5 mm on 5 mm glass: half of it, on the diagonal, is within reach of Gauss-Newton."""
-_CANDIDATES = 3
+_CANDIDATES, _CLOSE = 3, 0.7
+"""Most candidates that are tried; others than the best one only if they would explain this share of what it would."""
 _APART_MM = 7.0
 """Candidates closer to each other lead to the same position."""
 _WIDTHS = (1, 3)
@@ -35,7 +36,7 @@ _FOLLOWED = 0.75
 """Followed contacts are one from this share of those distances: no error of fingers' sizes is so large."""
 _MOVED = 0.9
 """A finger goes to another place if that leaves less than this share."""
-_FIRST_STEPS, _POINT_STEPS, _STEPS = 1, 2, 4
+_FIRST_STEPS, _SHAPE_STEPS, _STEPS = 1, 2, 4
 _LEAST_GAIN = 0.25
 """A missing finger explains this share of what a good fit without it leaves, after its first step. One of five explains
 0.31 or more, none 0.12 to 0.6 (twin)."""
@@ -96,8 +97,8 @@ class Pursuit:
             for share in (limit.enough, limit.search_above, limit.good, limit.fair)
         )
         # Shapes that were fitted in an earlier frame leave more than those of this one.
-        anew = solver.fit_shapes(bins, fit, noise_energy, _POINT_STEPS) if fit.shapes else fit
-        yield SHAPE_COST * _POINT_STEPS * len(fit.shapes)
+        anew = solver.fit_shapes(bins, fit, noise_energy, _SHAPE_STEPS) if fit.shapes else fit
+        yield SHAPE_COST * _SHAPE_STEPS * len(fit.shapes)
         shaped_energy = min(anew.residual_energy, fit.residual_energy)
         best = fit
         for width in _WIDTHS:
@@ -112,7 +113,7 @@ class Pursuit:
                         return fit
                     if one is best and one is not fit and one.residual_energy < good and not seen > limit.seen_beside:
                         return best
-                    for candidate_mm in self._best(score, _CANDIDATES):
+                    for candidate_mm in self._best(score, _CANDIDATES, _CLOSE):
                         shapes = [*shapes_of(one), TYPICAL] if one.shapes else ()
                         positions_mm = [*one.positions_mm, candidate_mm]
                         more.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=shapes))
@@ -123,8 +124,8 @@ class Pursuit:
                 more = _different([one for one in more if not are_merged(one)])[:width]
                 beam = []
                 for one in more:
-                    points = solver.fit_several(bins, one.positions_mm, _POINT_STEPS)
-                    yield _cost(one.positions_mm, _POINT_STEPS)
+                    points = solver.fit_several(bins, one.positions_mm, _FIRST_STEPS)
+                    yield _cost(one.positions_mm, _FIRST_STEPS)
                     shaped = yield from solver.shape_pieces(bins, points, noise_energy, lacking=True)
                     if shaped.shapes and one.residual_energy < shaped.points_energy:
                         shaped = replace(shaped, points_energy=one.residual_energy)
@@ -170,7 +171,7 @@ class Pursuit:
             score = self._scan(solver.residual(bins, rest))
             yield REST_COST + SCAN_COST
             trials = []
-            for candidate_mm in self._best(score, _CANDIDATES):
+            for candidate_mm in self._best(score, _CANDIDATES, _CLOSE):
                 if math.dist(candidate_mm, left_mm) >= _APART_MM:
                     positions_mm, of_all = [*places, candidate_mm], [*shapes, TYPICAL] if shapes else ()
                     trials.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=of_all))
@@ -195,13 +196,14 @@ class Pursuit:
         score: Array = np.einsum("ij,ij->i", self._products, self._products)
         return score
 
-    def _best(self, score: Array, count: int) -> list[Position]:
-        """Return the best positions of a scan. Writes over `score`."""
+    def _best(self, score: Array, count: int, share: float = 0.0) -> list[Position]:
+        """Return the best positions of a scan, with at least a share of the best one's score. Writes over `score`."""
         found: list[Position] = []
+        least = share * float(score.max())
         table = score.reshape(len(self._y_mm), -1)
         for _ in range(count):
             best = int(score.argmax())
-            if not score[best] > 0:
+            if not score[best] > 0 or score[best] < least:
                 break
             row, column = divmod(best, table.shape[1])
             x_mm, y_mm = float(self._x_mm[column]), float(self._y_mm[row])
