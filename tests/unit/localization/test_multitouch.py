@@ -201,10 +201,10 @@ def test_cancel() -> None:
 def test_landing_at_the_end_of_a_search() -> None:
     """A search that begins as another ends has the allowance of its own frame, not what the other has left."""
     rig = Rig()
-    rig.look(FOUR[:2], 0, 4_000_000, 1)
-    rig.look(FOUR[:2], 0, 1_000_000, 2)
+    rig.look(FOUR[:3], 0, 4_000_000, 1)
+    rig.look(FOUR[:3], 0, 3_000_000, 2)
     rig.look(FOUR, 0, 4_000_000, 3)
-    assert rig.solver.look_ups == 0, "the first search has ended, and two more fingers have come"
+    assert rig.solver.look_ups == 0, "the first search has ended, and another finger has come"
     assert rig.search.pending
     rig.look(FOUR, 0, 4_000_000, 4)
     assert 0 < rig.solver.look_ups <= LOOK_UPS_A_SECOND * 4e-3 + 2 * len(FOUR)
