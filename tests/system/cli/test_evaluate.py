@@ -150,6 +150,15 @@ def test_other_plate(folder: Path, tmp_path: Path) -> None:
         assert "warning" not in touchd(*arguments, folder / "tap.npz").err
 
 
+def test_stream_beyond_the_plate(folder: Path, tmp_path: Path) -> None:
+    """A stream whose labels lie off the plate, as in another unit, is refused: all its touches would be missed."""
+    tap = read(folder / "tap.npz")
+    assert tap.contacts_mm is not None
+    write(tmp_path / "um.npz", replace(tap, contacts_mm=tap.contacts_mm * 1000))
+    with pytest.raises(RecordingValues, match="positions lie outside the plate of 200 x 200 mm"):
+        said(SHIPPED, tmp_path / "um.npz")
+
+
 def test_stream_of_two(folder: Path) -> None:
     """A stream of two fingers is scored per count."""
     found = scores(SHIPPED, folder / "two-stream.npz")
