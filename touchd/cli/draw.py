@@ -11,7 +11,7 @@ from touchd.cli.options import PATH, check_picture, warn_of_other_plate
 
 @click.command()
 @click.argument("recording", type=PATH)
-@click.option("-o", "--output", type=PATH, required=True, help="The plot to write (PNG).")
+@click.option("-o", "--output", type=PATH, required=True, help="The plot to write, such as .png or .svg.")
 @click.option("--model", type=PATH, help="Model (ONNX).  [default: shipped]")
 def command(recording: Path, output: Path, model: Path | None) -> None:
     """Replay RECORDING and plot the published contacts over its true touches."""

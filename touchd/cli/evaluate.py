@@ -36,7 +36,7 @@ STREAM_HZ = 20.0
 @click.option("--json", "as_json", is_flag=True, help="Print the scores as one JSON object.")
 @click.option(
     "--plot", type=PATH, metavar="FILE.png",
-    help="Plot position error and bias over the plate, or the confusion of zones or keys.",
+    help="Of single frames: plot position error and bias over the plate, or the confusion of zones or keys.",
 )  # fmt: skip
 @click.option(
     "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for hours of frames.  [default: all cores]"
