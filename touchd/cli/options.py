@@ -141,6 +141,6 @@ def warn_of_other_plate(model: Description, recording: Meta) -> None:
     )
     if not alike:
         click.echo(
-            f"touchd: warning: the model is for the plate {model.plate}, the recording is of the plate "
+            f"touchd: warning: the model is for a plate of {model.plate}, the recording is of one of "
             f"{recording.plate}", err=True,
         )  # fmt: skip
