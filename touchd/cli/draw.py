@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.options import PATH, check_picture, warn_of_other_plate
+from touchd.cli.options import PATH, check_picture, warn_of_other_plate, warn_of_single_frames
 
 
 @click.command()
@@ -26,6 +26,7 @@ def command(recording: Path, output: Path, model: Path | None) -> None:
     settings = load(None, {"model": {"path": model or default_model_path()}})
     truth, loaded = read(recording), load_model(settings)
     warn_of_other_plate(loaded.description, truth.meta)
+    warn_of_single_frames(truth.meta)
     outcome = replay(recording, settings, loaded)
     draw_session(truth, outcome.touches, output)
     click.echo(f"{output}: {len(outcome.touches)} messages drawn")

@@ -12,7 +12,7 @@ from typing import Any
 import click
 import numpy as np
 
-from touchd.cli.options import PATH, check_picture, warn_of_other_plate
+from touchd.cli.options import PATH, STREAM_HZ, check_picture, warn_of_other_plate
 from touchd.cli.progress import Bars
 from touchd.config.load import load
 from touchd.config.schema import Settings
@@ -25,9 +25,6 @@ from touchd.lab.replay_parts import score
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import Reader, read
-
-STREAM_HZ = 20.0
-"""Frames per second from which a recording is replayed; in a slower one each frame is scored alone."""
 
 
 @click.command()

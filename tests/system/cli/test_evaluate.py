@@ -149,6 +149,15 @@ def test_other_plate(folder: Path, tmp_path: Path) -> None:
         assert "warning" not in touchd(*arguments, folder / "tap.npz").err
 
 
+def test_single_frames(folder: Path, tmp_path: Path) -> None:
+    """Of a training set, whose touches no replay finds, `draw` and `demo` say what scores it."""
+    for arguments in (("draw", "-o", tmp_path / "drawn.png"), ("demo", "--speed", "max", "--json")):
+        ended = touchd(*arguments, folder / "one.npz")
+        assert ended.code == 0, ended.err
+        assert "2 frames a second are no stream to replay: touchd evaluate scores each alone" in ended.err
+    assert not touchd("draw", "-o", tmp_path / "drawn.png", folder / "tap.npz").err
+
+
 def test_stream_beyond_the_plate(folder: Path, tmp_path: Path) -> None:
     """A stream whose labels lie off the plate, as in another unit, is refused: all its touches would be missed."""
     tap = read(folder / "tap.npz")
