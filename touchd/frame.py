@@ -98,6 +98,10 @@ class Plate(Description):
         """Width and height."""
         return self.width_mm, self.height_mm
 
+    def __str__(self) -> str:
+        """Return size and material, for a message."""
+        return f"{self.width_mm:g} x {self.height_mm:g} x {self.thickness_mm:g} mm of {self.material}"
+
 
 LEAST_SIDE_MM, LEAST_THICKNESS_MM, MOST_THICKNESS = 10.0, 0.1, 0.25
 """Shorter sides and thinner plates are in metres or centimetres. A thickness beyond that share of the shorter side is

@@ -80,7 +80,7 @@ def load_layout(path: Path, plate: Plate | None = None) -> Layout:
     lie on the plate if one is given.
     """
     try:
-        layout = Layout.model_validate(read_toml(path, ConfigError, "check keypad.layout"))
+        layout = Layout.model_validate(read_toml(path, ConfigError))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

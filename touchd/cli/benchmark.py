@@ -36,11 +36,11 @@ WIDTH, STEADY_WIDTH = 150, 225
 @click.option("--from", "given", type=PATH, metavar="FILE", help="Show a stored run instead of measuring.")
 @click.option(
     "--models", type=PATH, metavar="PATH",
-    help="Folder of the models, or one model of the example plate, by its own acquisition.  [default: shipped]",
+    help="Folder of the models, or one model of the reference plate, by its own acquisition.  [default: shipped]",
 )  # fmt: skip
 @click.option(
     "--also", type=PATH, multiple=True, metavar="FILE",
-    help="Benchmark this model for the example rig too; repeatable.",
+    help="A further model of the reference plate, by USB; repeatable.",
 )  # fmt: skip
 @click.option(
     "--steady", is_flag=True, help="Measure steady rates alone: processor time, wake-ups, stages. Takes 12 minutes."

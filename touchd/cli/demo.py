@@ -17,7 +17,7 @@ from msgspec.structs import asdict
 
 from touchd.child import verb
 from touchd.cli.listen import describe
-from touchd.cli.options import PATH, parse_speed
+from touchd.cli.options import PATH, parse_speed, warn_of_single_frames
 from touchd.client import Subscriber
 from touchd.errors import BusError, BusTimeout, RecordingValues
 from touchd.evaluation.metrics import position_scores
@@ -50,6 +50,7 @@ def command(recording: Path, as_json: bool, speed: float, model: Path | None) ->
             "no true contacts to compare with", str(recording),
             "use a recording with contacts_mm, or replay it: touchd --replay FILE --print",
         )  # fmt: skip
+    warn_of_single_frames(truth.meta)
     model = model or default_model_path()  # not one that `touchd model install` has put in its place
     Model(model).check(truth.acquisition)  # fails here with its own message and exit status
     events: list[Event] = []

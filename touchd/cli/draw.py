@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.options import PATH, check_picture, warn_of_other_plate
+from touchd.cli.options import PATH, check_picture, warn_of_other_plate, warn_of_single_frames
 
 
 @click.command()
 @click.argument("recording", type=PATH)
-@click.option("-o", "--output", type=PATH, required=True, help="The plot to write (PNG).")
+@click.option("-o", "--output", type=PATH, required=True, help="The plot to write, such as .png or .svg.")
 @click.option("--model", type=PATH, help="Model (ONNX).  [default: shipped]")
 def command(recording: Path, output: Path, model: Path | None) -> None:
     """Replay RECORDING and plot the published contacts over its true touches."""
@@ -26,6 +26,7 @@ def command(recording: Path, output: Path, model: Path | None) -> None:
     settings = load(None, {"model": {"path": model or default_model_path()}})
     truth, loaded = read(recording), load_model(settings)
     warn_of_other_plate(loaded.description, truth.meta)
+    warn_of_single_frames(truth.meta)
     outcome = replay(recording, settings, loaded)
     draw_session(truth, outcome.touches, output)
     click.echo(f"{output}: {len(outcome.touches)} messages drawn")

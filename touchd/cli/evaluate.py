@@ -12,7 +12,7 @@ from typing import Any
 import click
 import numpy as np
 
-from touchd.cli.options import PATH, check_picture, warn_of_other_plate
+from touchd.cli.options import PATH, STREAM_HZ, check_picture, warn_of_other_plate
 from touchd.cli.progress import Bars
 from touchd.config.load import load
 from touchd.config.schema import Settings
@@ -26,9 +26,6 @@ from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import Reader, read
 
-STREAM_HZ = 20.0
-"""Frames per second from which a recording is replayed; in a slower one each frame is scored alone."""
-
 
 @click.command()
 @click.argument("model", type=PATH)
@@ -36,7 +33,7 @@ STREAM_HZ = 20.0
 @click.option("--json", "as_json", is_flag=True, help="Print the scores as one JSON object.")
 @click.option(
     "--plot", type=PATH, metavar="FILE.png",
-    help="Plot position error and bias over the plate, or the confusion of zones or keys.",
+    help="Of single frames: plot position error and bias over the plate, or the confusion of zones or keys.",
 )  # fmt: skip
 @click.option(
     "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for hours of frames.  [default: all cores]"

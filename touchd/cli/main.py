@@ -89,7 +89,7 @@ class Verbs(click.Group):
     type=NumberRange(0),
     default=0.0,
     metavar="SECONDS",
-    help="Wait up to SECONDS for a subscriber first.",
+    help="Wait up to SECONDS for a subscriber to touches first.",
 )
 @click.option("--debug", is_flag=True, help="Print tracebacks, and log at level debug.")
 @click.version_option(__version__, prog_name="touchd")

@@ -126,6 +126,19 @@ def check_picture(output: Path) -> None:
         raise OutputError(f"{kind!r} is no format of a plot", str(output), "choose a name that ends in .png")
 
 
+STREAM_HZ = 20.0
+"""Frames per second from which a recording is replayed; in a slower one each frame is scored alone."""
+
+
+def warn_of_single_frames(recording: Meta) -> None:
+    """Warn if a recording has no stream of frames, as a training set: a replay places few of its touches."""
+    if recording.frame_rate_hz < STREAM_HZ:
+        click.echo(
+            f"touchd: warning: {recording.frame_rate_hz:g} frames a second are no stream to replay: touchd evaluate "
+            "scores each alone", err=True,
+        )  # fmt: skip
+
+
 _RULER = 0.01, 0.01, 0.05
 """Share by which a person may have measured width, height and thickness wrong."""
 
@@ -141,6 +154,6 @@ def warn_of_other_plate(model: Description, recording: Meta) -> None:
     )
     if not alike:
         click.echo(
-            f"touchd: warning: the model is for the plate {model.plate}, the recording is of the plate "
+            f"touchd: warning: the model is for a plate of {model.plate}, the recording is of one of "
             f"{recording.plate}", err=True,
         )  # fmt: skip

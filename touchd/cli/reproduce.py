@@ -53,6 +53,7 @@ def command(
     from touchd.lab.reproduction.sets import check_touches
     from touchd.recording.format import read
     from touchd.training import train_network  # noqa: F401 - its jobs would miss PyTorch only after minutes
+    from touchd.training.data.inspection import inspect
     from touchd.twin import cache as kept
 
     check_output(output, replace=force)
@@ -68,6 +69,8 @@ def command(
                       epochs=epochs)  # fmt: skip
     keys = load_layout(layout or PHONE)
     with Bars() as bars:
+        for text in inspect(given) if given is not None else ():
+            bars.warn(text)
 
         def progress(what: str, done: int, steps: int) -> None:
             bars.update("reproduce", done, steps, what)

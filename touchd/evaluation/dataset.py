@@ -205,7 +205,7 @@ def beyond(position_mm: Array, plate: Plate) -> str:
         return ""
     x_mm, y_mm = position_mm[outside][0]
     size = f"{plate.width_mm:g} x {plate.height_mm:g} mm"
-    return f"{outside.sum()} touches lie outside the plate of {size}, the first at ({x_mm:.1f}, {y_mm:.1f})"
+    return f"{outside.sum()} positions lie outside the plate of {size}, the first at ({x_mm:.1f}, {y_mm:.1f})"
 
 
 def complex_bins(features: NDArray[np.floating[Any]], channels: int) -> NDArray[Any]:

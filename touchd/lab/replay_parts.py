@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
 from touchd.errors import RecordingShape, RecordingValues
+from touchd.evaluation.dataset import beyond
 from touchd.evaluation.replay_scores import StreamScores, joined, score_stream
+from touchd.evaluation.truth import fingers_only
 from touchd.event import TouchEvent
 from touchd.frame import Frame
 from touchd.jobs import Job, run
@@ -125,7 +127,10 @@ def score_part(part: Part, settings: dict[str, Any], versions: Sequence[Any] = (
     """Replay and score one part, as a job; what is kept of it is for these `versions` of its files."""
     span = _Span(part)
     events = run_through(span, Settings.model_validate(settings)).touches
-    return score_stream(span.labels(), list(_of_part(events, part.first)))
+    labels = fingers_only(span.labels())
+    if labels.contacts_mm is not None and (outside := beyond(labels.contacts_mm.reshape(-1, 2), labels.meta.plate)):
+        raise RecordingValues(outside, "contacts_mm", "correct the positions or the plate's size")
+    return score_stream(labels, list(_of_part(events, part.first)))
 
 
 def _of_part(events: Sequence[TouchEvent], first: int) -> Iterator[TouchEvent]:

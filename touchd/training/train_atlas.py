@@ -172,6 +172,7 @@ def _check_network(path: Path, recording: Recording) -> int:
         raise ModelMismatch(
             "trained on another recording",
             str(path),
-            "name the recording that it was trained on, or omit --network to train both",
+            "name the very recording that it was trained on (other computers round some counts of a simulation "
+            "otherwise), or omit --network to train both",
         )
     return d.seed

@@ -145,9 +145,26 @@ def test_other_plate(folder: Path, tmp_path: Path) -> None:
     for arguments in (("evaluate", NETWORK), ("draw", "-o", tmp_path / "drawn.png", "--model", NETWORK)):
         ended = touchd(*arguments, tmp_path / "other.npz")
         assert ended.code == 0, ended.err
-        assert "warning: the model is for the plate" in ended.err
-        assert "width_mm=210.0" in ended.err
+        assert "for a plate of 200 x 200 x 5 mm of glass, the recording is of one of 210 x 200 x 5 mm" in ended.err
         assert "warning" not in touchd(*arguments, folder / "tap.npz").err
+
+
+def test_single_frames(folder: Path, tmp_path: Path) -> None:
+    """Of a training set, whose touches no replay finds, `draw` and `demo` say what scores it."""
+    for arguments in (("draw", "-o", tmp_path / "drawn.png"), ("demo", "--speed", "max", "--json")):
+        ended = touchd(*arguments, folder / "one.npz")
+        assert ended.code == 0, ended.err
+        assert "2 frames a second are no stream to replay: touchd evaluate scores each alone" in ended.err
+    assert not touchd("draw", "-o", tmp_path / "drawn.png", folder / "tap.npz").err
+
+
+def test_stream_beyond_the_plate(folder: Path, tmp_path: Path) -> None:
+    """A stream whose labels lie off the plate, as in another unit, is refused: all its touches would be missed."""
+    tap = read(folder / "tap.npz")
+    assert tap.contacts_mm is not None
+    write(tmp_path / "um.npz", replace(tap, contacts_mm=tap.contacts_mm * 1000))
+    with pytest.raises(RecordingValues, match="positions lie outside the plate of 200 x 200 mm"):
+        said(SHIPPED, tmp_path / "um.npz")
 
 
 def test_stream_of_two(folder: Path) -> None:

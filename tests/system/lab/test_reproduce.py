@@ -64,11 +64,12 @@ def check(page: Path) -> str:
 
 
 def test_given_recording(touches: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A given recording is reported, and a second run computes nothing."""
+    """A given recording's faults are named, it is reported, and a second run computes nothing."""
     path, page = tmp_path / "touches.npz", tmp_path / "report.md"
     recording.write(path, touches)
     keep = ["--cache", tmp_path / "cache"]
-    reproduce(path, "-o", page, *FEW, *keep)
+    printed = reproduce(path, "-o", page, *FEW, *keep)
+    assert "of the plate: the model is untrained elsewhere" in printed
     text = check(page)
     assert "a given recording" in text
     assert "circle" not in text, "what needs the twin is left out"

@@ -104,7 +104,7 @@ def turns(browser: Browser, address: str, other: str) -> Iterator[Row]:
     print(f"latency: {', '.join(f'{statistics.median(took):.0f}' for took in (alone, elsewhere, watched))} us")
     beside, more = more_by(elsewhere, alone), more_by(watched, alone)
     yield Row("latency of the daemon's touches, with a page", "at most +5 %", f"{100 * more:+.1f} %", more <= 0.05)
-    yield Row("the same while the page shows another daemon", "told", f"{100 * beside:+.1f} %", None)
+    yield Row("the same while the page shows another daemon", "none", f"{100 * beside:+.1f} %", None)
 
 
 def more_by(took: list[float], base: list[float]) -> float:

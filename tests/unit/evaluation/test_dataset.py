@@ -104,7 +104,7 @@ def test_a_recording_without_an_untouched_frame_is_refused(touches: Recording) -
 def test_a_touch_outside_the_plate_is_refused_with_its_place(touches: Recording, place: tuple[float, float]) -> None:
     truth = truth_of(touches)
     truth[11, 0] = place
-    with pytest.raises(TrainingError, match=r"1 touches lie outside the plate of 200 x 200 mm.*50\.0"):
+    with pytest.raises(TrainingError, match=r"1 positions lie outside the plate of 200 x 200 mm.*50\.0"):
         make_dataset(replace(touches, contacts_mm=truth))
 
 

@@ -35,7 +35,11 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
     seconds = dict(zip(recording.sequence.tolist(), (recording.timestamp_ns * 1e-9).tolist(), strict=True))
     for number, touch in enumerate(true_touches(recording)):
         label = "truth" if number == 0 else None
-        plate_axes.plot(*touch.position_mm.T, color=TRUTH, lw=7, solid_capstyle="round", label=label)
+        # A line through one place is not drawn: the mark shows a finger that rests.
+        plate_axes.plot(
+            *touch.position_mm.T, color=TRUTH, lw=7, solid_capstyle="round", marker="o", ms=9, markevery=[0],
+            label=label,
+        )  # fmt: skip
         when = [seconds[frame] for frame in touch.frames.tolist()]
         for axes, values in zip((x_axes, y_axes), touch.position_mm.T, strict=True):
             axes.plot(when, values, color=TRUTH, lw=6, solid_capstyle="round")

@@ -65,7 +65,7 @@ def draw_errors(run: Run) -> Figure:
     figure = Figure(figsize=(9.6, 6.2), layout="constrained")
     axes = figure.add_subplot()
     for group, (label, colour, marker) in GROUPS.items():
-        some = [one for one in run.estimators if one.group == group]
+        some = [one for one in run.estimators if one.group == group and one.name not in VARIANTS]
         for one in some:
             axes.annotate(
                 one.name, (one.p50_us, one.median_mm), (0, 9), textcoords="offset points", fontsize=8, color=colour

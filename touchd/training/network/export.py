@@ -140,7 +140,8 @@ def quantise(model: Model, recording: Recording, path: Path) -> Model:
         raise TrainingError(
             "the model was trained on another recording, so its test part is unknown",
             str(model.path),
-            "give the recording named in the model's command",
+            "give the very recording named in the model's command: other computers round some counts of a simulation "
+            "otherwise",
         )
     if description.precision != "float32":
         raise TrainingError(f"the weights are {description.precision} already", str(model.path), "give the original")

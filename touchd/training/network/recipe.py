@@ -39,7 +39,7 @@ class Recipe:
 RECIPES = {
     recipe.name: recipe
     for recipe in (
-        Recipe("best", "regression", "position, standard error and confidence: recommended", widths=BEST_TRUNK),
+        Recipe("best", "regression", "position, standard error and confidence of one finger", widths=BEST_TRUNK),
         Recipe(
             "atlas",
             "regression",

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.quiver import Quiver, QuiverKey
 
 from tests.unit.evaluation.test_replay_scores import META, contact, truth
 from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.plots.maps import cell_bias, cells_of, draw_error_map, draw_maps
-from touchd.evaluation.plots.session import COLOURS, draw_session
+from touchd.evaluation.plots.session import COLOURS, TRUTH, draw_session
 from touchd.frame import Plate
 
 PLATE = Plate(width_mm=200, height_mm=100)
@@ -109,6 +111,14 @@ def test_contacts_are_named_while_their_colours_differ(
     assert legend is not None
     names = {text.get_text() for text in legend.get_texts()} - {"truth"}
     assert names == ({f"contact {i + 1}" for i in range(count)} if count <= len(COLOURS) else {f"{count} contacts"})
+
+
+def test_a_finger_that_rests(tmp_path: Path) -> None:
+    """A true touch that stays at one place is seen on the plate, as one that moves is."""
+    draw_session(truth([(5, 90, 100.0, 100.0)]), [], tmp_path / "rests.png")
+    picture = imread(tmp_path / "rests.png")[..., :3]
+    plate = picture[: picture.shape[0] * 4 // 5, : picture.shape[1] // 2]  # the legend lies below
+    assert (np.abs(plate - to_rgb(TRUTH)).max(axis=2) < 0.01).sum() > 30
 
 
 def test_a_recording_of_one_frame_is_drawn_without_a_warning(tmp_path: Path) -> None:

@@ -61,6 +61,9 @@ def test_the_machine_is_described_without_its_name() -> None:
 
 def test_every_estimator_scene_and_picture_is_shown(run: Run) -> None:
     """Variants of an estimator stand in the terminal's table; all others, each scene and picture are on the page."""
+    networks = [one for one in run.estimators if one.group == "network"]
+    variants = tuple(networks[0].model_copy(update={"name": name}) for name in VARIANTS)
+    run = run.model_copy(update={"estimators": run.estimators[:1] + variants + run.estimators[1:]})
     text = page(run)
     assert [row[0] for row in tables.estimator_table(run).rows[1:-2]] == [one.name for one in run.estimators]
     for one in run.estimators:
@@ -68,7 +71,11 @@ def test_every_estimator_scene_and_picture_is_shown(run: Run) -> None:
     for one_cell in run.daemon:
         assert f"| {one_cell.scene} |" in text
     assert f"({PICTURES}/errors.png)" in text
-    legend = {text.get_text() for text in draw_errors(run).legends[0].get_texts()}
+    picture = draw_errors(run)
+    named = {text.get_text() for text in picture.axes[0].texts}
+    assert not named & set(VARIANTS)
+    assert named <= {one.name for one in run.estimators}
+    legend = {text.get_text() for text in picture.legends[0].get_texts()}
     assert {"field atlas", "shipped networks", "the paper's regression (mean, its rig)"} <= legend
     assert "what is not there" in text
 
