@@ -87,6 +87,8 @@ class FakeCard:
         """Captured already, and lost by an xrun: who reads it does not wait."""
         self.disturbance = 0.0
         self.lowpass_hz: float | None = None
+        self.muted_s = 0.0
+        """For how long after a start the output is silent, as converters that mute themselves are."""
         self.clock = clock or Clock()
         self._loopback = loopback
         self._a, self._response, self._period = acquisition, response, period
@@ -110,6 +112,7 @@ class FakeCard:
         self.starts += 1
         self.delay = float(self._rng.uniform(0, self._period))
         self._loop, self._next_loop, self._until = loop, loop, 0
+        self._started = self.period_number
         self._captured = np.zeros((int(self.delay), self.inputs), np.int16)
         self.xrun = self.xruns_only
 
@@ -161,6 +164,8 @@ class FakeCard:
         if self.disturbance:
             heard = heard + self.disturbance * self._rng.standard_normal(heard.shape)
         heard = heard[self.order] * self.gains[:, None]
+        if self.period_number - self._started < self.muted_s * self.rate_hz / self._period:
+            heard *= 0
         return np.asarray(np.clip(np.rint(heard), -(2**15), 2**15 - 1), np.int16)
 
 

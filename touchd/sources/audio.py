@@ -32,6 +32,8 @@ MEASURED, MEASURED_S = 8, 0.06
 """Periods whose mean tells the delay, at least, and how long they last, at least."""
 SETTLE_S = 0.05
 """Ringing of the plate, and what converters delay, between a change of what is played and the first measured period."""
+DOUBT_S = 0.5
+"""Until then a start is measured again if no delay is certain: converters mute themselves while they start."""
 START_S = 1.0
 """A card that brings no frame for this long after its start will bring none: the delay is found by then."""
 STILL_SAMPLES = 5e-4
@@ -149,9 +151,9 @@ class AudioDaq(Daq):
         self._moves = 0
         self._settle()
 
-    def _settle(self) -> None:
-        """Measure the delay in periods that hold nothing of what was played before."""
-        wait = self._card.ahead + round(SETTLE_S * self.acquisition.sample_rate_hz)
+    def _settle(self, ahead: int = 0) -> None:
+        """Measure the delay in periods that hold nothing of what was played before, so many samples ahead."""
+        wait = ahead + round(SETTLE_S * self.acquisition.sample_rate_hz)
         self._capture.skip(wait, whole_periods=True)
         self._sum, self._measured = np.zeros((len(self._inputs), self._period)), 0
         self._aligned, self._needed = False, self._period
@@ -163,8 +165,12 @@ class AudioDaq(Daq):
         if self._measured == self._measures:
             try:
                 self._align(self._sum / self._measures)
-            except (CardGone, Doubtful) as why:
-                raise DaqGone(str(why)) from why
+            except CardGone as gone:
+                raise DaqGone(str(gone)) from gone
+            except Doubtful as doubt:
+                if self._capture.passed > DOUBT_S * self.acquisition.sample_rate_hz:
+                    raise DaqGone(str(doubt)) from doubt
+                self._settle()
 
     def _align(self, mean: Floats) -> None:
         """Cut where the response to a chirp begins, and play the chirp so that it begins with a sample."""
@@ -176,7 +182,7 @@ class AudioDaq(Daq):
             self._moves += 1
             self._fraction += fraction
             self._card.play(moved(self._nominal, -self._fraction))
-            self._settle()
+            self._settle(self._card.ahead)
             return
         log.info("delay found", samples=whole % self._period, explained=round(found.explained, 4))
         if self._own is None:

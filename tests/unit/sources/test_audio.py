@@ -185,6 +185,33 @@ def test_an_xrun_is_counted_and_costs_no_accuracy(reference: np.ndarray, modelle
     assert off_db(means[1], means[0]) < most_db
 
 
+@pytest.mark.parametrize("loopback", [0, 5])
+def test_an_xrun_while_it_starts_costs_no_second(reference: np.ndarray, loopback: int) -> None:
+    """Just before its first frame, when all that was measured is lost, too."""
+    card = plate(loopback=0.3 if loopback else 0.0)
+    settings = SETTINGS.model_copy(update={"loopback": loopback})
+    daq = started(card, None if loopback else reference, settings)
+    frames(daq, 1)
+    card.xrun = True
+    began_ns = card.clock.ns
+    while (frame := daq.read(0.1)) is None or frame.withheld:
+        card.xrun |= card.starts == 2 and card.clock.ns - began_ns > 320e6
+    assert card.starts == 3
+    assert card.clock.ns - began_ns < 0.7e9
+
+
+@pytest.mark.parametrize("muted_s", [0.1, 0.3, 0.45])
+@pytest.mark.parametrize("loopback", [0, 5])
+def test_an_output_that_is_silent_at_first(reference: np.ndarray, muted_s: float, loopback: int) -> None:
+    """Converters that mute themselves while they start are waited for, and frames are as of any other card."""
+    card = plate(loopback=0.3 if loopback else 0.0)
+    card.muted_s = muted_s
+    settings = SETTINGS.model_copy(update={"loopback": loopback})
+    daq = started(card, None if loopback else reference, settings)
+    assert off_db(np.mean([frame.counts for frame in frames(daq, 10)], axis=0), EXPECTED) < -50
+    assert card.starts == 1
+
+
 def test_a_process_that_stood_still_knows_for_how_long(reference: np.ndarray) -> None:
     """Numbers and times of the frames after seconds without a read are those of the clock."""
     card = plate()
