@@ -177,14 +177,19 @@ class CableCard:
         self.gains = np.array([0.001, 0.5, *[0.0] * (inputs - 2)])
         self.noise, self.third, self.fraction = 1e-4, 1e-3, 0.25
         self.lowpass_hz = 0.5 * rate_hz
-        self.hum = 0.0
-        """Amplitude of 50 Hz in all inputs."""
+        self.hum = self.offset = 0.0
+        """Amplitude of 50 Hz, and a constant, in all inputs."""
+        self.automatic = 0.0
+        """The share of a change of level, in dB, that automatic gain takes back."""
+        self.muted_s = 0.0
+        """For how long after a start the output is silent, as converters that mute themselves are."""
         self.xruns = 0
         self.true_rate_hz, self.seconds = float(rate_hz), 0.0
         self._rng = np.random.default_rng(seed)
 
     def start(self, loop: Floats) -> None:
         shaped = loop + self.third * loop**3
+        shaped *= np.maximum(np.abs(shaped).max(), 1e-6) ** -self.automatic
         spectrum = np.fft.rfft(shaped) * (np.fft.rfftfreq(len(loop), 1 / self.rate_hz) < self.lowpass_hz)
         self.delay = int(self._rng.integers(100, 2000)) + self.fraction
         self._heard = np.outer(self.gains, moved(np.fft.irfft(spectrum, len(loop)), self.delay))
@@ -200,8 +205,11 @@ class CableCard:
         block = self.rate_hz // 100
         self.seconds += block / self.true_rate_hz
         at = (self._at + np.arange(block)) % self._heard.shape[1]
+        played = 0.0 if self._at < self.muted_s * self.rate_hz else 1.0
         self._at += block
-        signal = self._heard[:, at].T + self.noise * self._rng.standard_normal((block, self.inputs))
+        signal = (
+            self.offset + played * self._heard[:, at].T + self.noise * self._rng.standard_normal((block, self.inputs))
+        )
         signal += self.hum * np.sin(100 * np.pi / self.rate_hz * (self._at + np.arange(block)))[:, None]
         return np.asarray(np.clip(np.rint(signal * 2**15), -(2**15), 2**15 - 1), np.int16)
 

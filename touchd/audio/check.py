@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from touchd.audio.capture import PASSED, check_band
 from touchd.audio.card import Card, CardXrun, Floats, Samples
-from touchd.audio.delay import Doubtful, by_loopback
+from touchd.audio.delay import Doubtful, by_loopback, explained
 
 PERIOD_S = 0.25
 """Of what is played: longer than any delay."""
@@ -20,6 +20,10 @@ MEASURED = 4
 LEVELS_DBFS = (-1.0, -3.0, -6.0, -12.0, -20.0)
 LOW_DISTORTION_DB = -60.0
 """Distortion below the noise of a good frame."""
+MOST_SPREAD_DB = 0.5
+"""Converters and amplifiers keep their gain to a tenth of that at any level."""
+MOST_CROSSTALK_DB = -30.0
+"""Less comes through the air and inside a box; more is mixed on purpose, or a second cable."""
 PASSED_DB = -12.0
 """The band ends where less passes, relative to its middle."""
 AUDIBLE_HZ = 20_000.0
@@ -29,7 +33,12 @@ MOST_OFF = 0.01
 """Relative error of the sample rate by this computer's clock: of a card's clock it is a hundredth of that."""
 UNTOUCHED_DBFS = -12.0
 """Level of an untouched plate whose response peaks at 0.6 of full scale."""
-_SETTLE_S = 0.1
+HUM_HZ = 1000.0
+"""Below lie mains hum, which inputs without a cable hear, and an offset: no cable is told by them."""
+HEARD = 10.0
+"""An input hears the output that gets this many times as much of it as silence resembles it."""
+_SETTLE_S = 0.5
+"""Converters mute themselves while they start, and filters ring."""
 _FULL_SCALE = 2.0**15
 _LIMIT = 2**15 - 1
 
@@ -51,8 +60,12 @@ class Checked:
     """RMS of each input in silence."""
     gain_db: float = 0.0
     """From output to input in the middle of the band."""
+    gain_spread_db: float = 0.0
+    """How far the gains of tones of different levels are apart that are not distorted: 0 without automatic gain."""
     crosstalk_db: list[float] = field(default_factory=list)
     """Of each input, relative to the cable's; 0 for that one."""
+    mixed: list[int] = field(default_factory=list)
+    """Inputs that hear so much of the output that it is mixed to them, or that a cable of their own joins them."""
     distortion_db: dict[str, float | None] = field(default_factory=dict)
     """Harmonics of a tone, relative to it, by level played; None where the input clips."""
     delays: list[float] = field(default_factory=list)
@@ -87,7 +100,7 @@ def hear(card: Card, loop: Floats) -> Floats:
     wanted = MEASURED * period
     for _ in range(3):
         card.start(loop)
-        skip = card.ahead + round(_SETTLE_S * card.rate_hz)
+        skip = round(_SETTLE_S * card.rate_hz)
         blocks: list[Samples] = []
         taken = 0
         try:
@@ -119,27 +132,35 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     # Periodic, of constant amplitude over all that converters pass.
     sweep = np.sin(np.pi * (PASSED * card.rate_hz) / t[-1] * t**2) * 10 ** (level_dbfs / 20)
     heard = hear(card, sweep).mean(axis=0)
-    power = np.square(heard).sum(axis=1)
-    cable = int(np.argmax(power))
+    listened = _without_hum(sweep, card.rate_hz)[None]
+    alike, by_chance = (explained(_without_hum(part, card.rate_hz), listened).max(axis=(1, 2))
+                        for part in (heard, noise.mean(axis=0)))  # fmt: skip
+    cable, hears = int(np.argmax(alike)), alike > HEARD * by_chance
     noise -= noise.mean(axis=2, keepdims=True)
-    if power[cable] <= 10 * np.square(noise[:, cable]).sum(axis=1).mean():
+    if not hears[cable]:
         raise Doubtful("no input hears the output: join an output to an input with a cable, and turn the knobs up")
     found = Checked(card.name, card.rate_hz, cable + 1)
     found.noise_dbfs = _db(2 * noise.var(axis=(0, 2))).tolist()
     _take_response(found, heard, sweep, noise[:, cable])
+    mixed = hears & (np.array(found.crosstalk_db) > MOST_CROSSTALK_DB)
+    found.mixed = [i for i in (np.flatnonzero(mixed) + 1).tolist() if i != found.cable]
     try:
         check_band(heard[cable : cable + 1], sweep, card.rate_hz)
     except Doubtful as doubt:
         found.resamples = str(doubt)
     progress("distortion")
+    clean: dict[float, float] = {}
     for dbfs in LEVELS_DBFS:
-        found.distortion_db[f"{dbfs:g}"] = _distortion(card, period, cable, dbfs)
-    clean = [at for at, db in found.distortion_db.items() if db is not None and db < LOW_DISTORTION_DB]
-    found.level_dbfs = max(map(float, clean), default=LEVELS_DBFS[-1])
+        distortion_db, gain_db = _distortion(card, period, cable, dbfs)
+        found.distortion_db[f"{dbfs:g}"] = distortion_db
+        if distortion_db is not None and distortion_db < LOW_DISTORTION_DB:
+            clean[dbfs] = gain_db
+    found.level_dbfs = max(clean, default=LEVELS_DBFS[-1])
+    found.gain_spread_db = float(np.ptp(list(clean.values()))) if clean else 0.0
     for number in range(restarts):
         progress(f"start {number + 1} of {restarts}")
-        captured = hear(card, sweep).mean(axis=0)[cable]
-        found.delays.append(by_loopback(captured * _FULL_SCALE, sweep).samples)
+        captured = _without_hum(hear(card, sweep).mean(axis=0)[cable], card.rate_hz)
+        found.delays.append(by_loopback(captured * _FULL_SCALE, listened[0]).samples)
     progress(f"xruns in {seconds:g} s")
     _take_time(found, card, sweep, seconds)
     return found
@@ -176,16 +197,24 @@ def _band(frequency_hz: Floats, response_db: Floats, rate_hz: int) -> tuple[floa
     return round(low_hz, -2), round(max(float(frequency_hz[end - 1]), 1.1 * low_hz), -2)
 
 
-def _distortion(card: Card, period: int, cable: int, dbfs: float) -> float | None:
-    """Return the power of a tone's harmonics relative to it, dB; None where the input clips."""
+def _without_hum(signal: Floats, rate_hz: int) -> Floats:
+    """Return periodic signals, (..., period), without mains hum and offset."""
+    spectrum = np.fft.rfft(signal)
+    spectrum[..., np.fft.rfftfreq(signal.shape[-1], 1 / rate_hz) < HUM_HZ] = 0
+    return np.asarray(np.fft.irfft(spectrum, signal.shape[-1]))
+
+
+def _distortion(card: Card, period: int, cable: int, dbfs: float) -> tuple[float | None, float]:
+    """Return the power of a tone's harmonics relative to it, None where the input clips, and its gain, dB."""
     turns = period // 16 // 2 * 2 + 1  # a sixteenth of the sample rate: seven harmonics are heard
     tone = np.sin(2 * np.pi * turns * np.arange(period) / period) * 10 ** (dbfs / 20)
     heard = hear(card, tone)[:, cable]
-    if np.abs(heard).max() * _FULL_SCALE >= _LIMIT:
-        return None
+    clips = np.abs(heard).max() * _FULL_SCALE >= _LIMIT
     spectrum = np.abs(np.fft.rfft(heard.mean(axis=0))) ** 2
     harmonics = np.arange(2, 7) * turns
-    return float(_db(np.array(spectrum[harmonics].sum() / max(spectrum[turns], 1e-30))))
+    power = max(spectrum[turns], 1e-30)
+    distortion_db = float(_db(np.array(spectrum[harmonics].sum() / power)))
+    return None if clips else distortion_db, float(_db(np.array(power))) - dbfs
 
 
 def _take_time(found: Checked, card: Card, loop: Floats, seconds: float) -> None:

@@ -6,8 +6,10 @@ import json
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 
 from tests.audiocard import SMALL_PLATE, CableCard
@@ -83,6 +85,43 @@ def test_a_remedy_follows_what_will_not_do() -> None:
     (remedy,) = (line for line in lines if "->" in line)
     assert lines[lines.index(remedy) - 1].startswith("noise")
     assert "60 dB are wanted" in remedy
+
+
+@pytest.mark.parametrize("fault", ["hum", "offset", "muted_s"])
+def test_what_inputs_hear_beside_the_output(found: Checked, fault: str) -> None:
+    """Mains hum, of which inputs without a cable hear most, and an offset, each stronger than the cable's signal, hide
+    no cable; nor does an output that is silent at first."""
+    card = CableCard()
+    setattr(card, fault, 0.4)
+    heard = checked(card, restarts=5)
+    assert heard.cable == 2
+    assert heard.gain_db == pytest.approx(found.gain_db, abs=0.1)
+    assert heard.delays == pytest.approx(found.delays, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "row", "told"),
+    [
+        ({"automatic": 0.5}, "cable", "changes by 9.5 dB with the level: switch automatic gain off"),
+        ({"gains": np.array([0.3, 0.5, 0.0])}, "crosstalk", "the output is mixed to input 1, too"),
+        ({"gains": np.array([0.0, 3e-3, 0.0])}, "noise", "60 dB are wanted"),
+        ({"gains": np.array([0.0, 8.0, 0.0])}, "distortion", "turn the input's gain down"),
+    ],
+)
+def test_what_a_card_does_on_its_own_account(change: dict[str, Any], row: str, told: str) -> None:
+    """Automatic gain, a mixer inside and an input that clips are told with their remedy; noise is not called mixing."""
+    card = CableCard()
+    for name, value in change.items():
+        setattr(card, name, value)
+    lines = text(checked(card))
+    (remedy,) = (line for line in lines if "->" in line)
+    assert told in remedy
+    assert lines[lines.index(remedy) - 1].startswith(row)
+
+
+def test_a_table_of_many_inputs_is_no_wider_than_a_terminal() -> None:
+    card = CableCard(inputs=18)
+    assert max(map(len, text(checked(card)))) <= 120
 
 
 def test_the_expected_error_on_a_plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
