@@ -8,12 +8,12 @@ this costs are withheld, and counted by reason.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 
 import numpy as np
 import structlog
-from numpy.typing import NDArray
 
 from touchd.audio.capture import Capture, HighPass, Watch, check_band, periods_of, rates_of
 from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Floats, Samples, loop_of, moved
@@ -40,8 +40,9 @@ STILL_SAMPLES = 5e-4
 """A smaller fraction is left as it is."""
 _MOST_MOVES = 3
 _ALIVE = 0.5
-"""Correlation with the reference above which a channel is watched."""
-_SILENT = 1e-4  # of the loudest channel's energy
+"""Correlation with the reference, and of the periods of a measurement with each other, of a channel that hears."""
+_STEADY = 0.995
+"""The latter of a channel that is watched: of one that is noisier, some frames differ as much as if it were lost."""
 
 log = structlog.get_logger()
 
@@ -70,7 +71,8 @@ def rate_of(acquisition: Acquisition, settings: DeviceSettings) -> int:
 class AudioDaq(Daq):
     """The `Daq` over an open card, which plays until it is closed.
 
-    `reference` is the untouched response that the model was made from, shape (channels, samples).
+    `reference` is the untouched response that the model was made from, shape (channels, samples). Without one, frames
+    keep the delay that they had to the response of an `earlier` connection, where this is the same plate.
     """
 
     def __init__(
@@ -80,11 +82,14 @@ class AudioDaq(Daq):
         acquisition: Acquisition,
         reference: Floats | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
+        earlier: Floats | None = None,
     ) -> None:
         self.acquisition = acquisition
         self.device = Device(serial=card.name)
         self.max_rate_hz = int(acquisition.sample_rate_hz // acquisition.samples)
         self._card, self._settings, self._reference, self._clock = card, settings, reference, clock
+        self._earlier = earlier
+        self._own: Floats | None = None  # the response at the first delay that was found
         self._inputs = np.array([at - 1 for at in (*settings.channels, settings.loopback) if at])
         self._discs = len(settings.channels)
         self._no_counts: Samples = np.zeros(acquisition.shape, np.int16)
@@ -100,7 +105,7 @@ class AudioDaq(Daq):
         self._nominal = loop_of(a.chirp, a.sample_rate_hz, self._period, self._settings.level_dbfs)
         self._capture = Capture(self._inputs, self._period, chirps, self._high_pass.margin)
         self._fraction = 0.0
-        self._own: Floats | None = None
+        self._earlier, self._own = self.response, None
         self._sequence, self._time_us = 0, 0.0  # of the next frame
         self._last_ns = 0  # when the last frame, or one that is withheld, was complete; 0: unknown
         self._xrun, self._cuts, self._every = False, 0, 1
@@ -137,6 +142,11 @@ class AudioDaq(Daq):
         """Pass on every n-th frame: the chirps go on, since a response in steady state belongs to their period."""
         self._every = max(1, round(1e6 / (rate_hz * self._period_us)))
 
+    @property
+    def response(self) -> Floats | None:
+        """What the discs of this or an earlier connection heard, shape (channels, samples), by which frames are cut."""
+        return self._earlier if self._own is None else self._own
+
     def close(self) -> None:
         """Release the card; never fails."""
         self._card.close()
@@ -155,16 +165,16 @@ class AudioDaq(Daq):
         """Measure the delay in periods that hold nothing of what was played before, so many samples ahead."""
         wait = ahead + round(SETTLE_S * self.acquisition.sample_rate_hz)
         self._capture.skip(wait, whole_periods=True)
-        self._sum, self._measured = np.zeros((len(self._inputs), self._period)), 0
+        self._sums, self._measured = np.zeros((2, len(self._inputs), self._period)), 0  # of every other period
         self._aligned, self._needed = False, self._period
 
     def _measure(self) -> None:
         """Add a period to those that tell the delay; the last one does."""
-        self._sum += self._capture.take()
+        self._sums[self._measured % 2] += self._capture.take()
         self._measured += 1
         if self._measured == self._measures:
             try:
-                self._align(self._sum / self._measures)
+                self._align(self._sums.sum(axis=0) / self._measures)
             except CardGone as gone:
                 raise DaqGone(str(gone)) from gone
             except Doubtful as doubt:
@@ -187,10 +197,11 @@ class AudioDaq(Daq):
         log.info("delay found", samples=whole % self._period, explained=round(found.explained, 4))
         if self._own is None:
             self._own = moved(mean[: self._discs], -whole)[:, : self.acquisition.samples]
-            alive = self._alive(found)
-            self._watch = Watch(self._own, alive)
-            if not alive.all():
-                silent = [self._settings.channels[i] for i in np.flatnonzero(~alive)]
+            steady = self._steady()
+            if not self._settings.loopback:
+                steady = np.minimum(steady, np.where(found.channels > _ALIVE, 1.0, 0.0))
+            self._watch = Watch(self._own, steady > _STEADY)
+            if silent := [self._settings.channels[i] for i in np.flatnonzero(steady < _ALIVE)]:
                 log.warning("inputs hear nothing of the chirp", inputs=silent)
         self._capture.skip(whole, whole_periods=False)
         self._aligned, self._needed = True, self._capture.needed(self.acquisition.samples)
@@ -204,15 +215,16 @@ class AudioDaq(Daq):
             return by_loopback(mean[self._discs], self._nominal)
         if reference is not None:
             return by_reference(discs, reference, a.chirp, a.sample_rate_hz)
+        if self._earlier is not None:
+            with contextlib.suppress(Doubtful):
+                return by_reference(discs, self._earlier, a.chirp, a.sample_rate_hz)
         return by_onset(discs, self._nominal)
 
-    def _alive(self, found: Delay) -> NDArray[np.bool_]:
-        """Return which discs are heard, shape (channels,)."""
-        assert self._own is not None
-        if not self._settings.loopback:
-            return found.channels > _ALIVE
-        energy = np.square(self._own).sum(axis=1)
-        return np.asarray(energy > _SILENT * energy.max())
+    def _steady(self) -> Floats:
+        """Return the correlation of every other period with those between them, shape (channels,)."""
+        even, odd = self._high_pass.around(self._sums[:, : self._discs])
+        energy = np.square(even).sum(axis=1) * np.square(odd).sum(axis=1)
+        return np.asarray((even * odd).sum(axis=1) / np.sqrt(np.maximum(energy, 1e-30)))
 
     def _cut(self) -> DaqFrame:
         """Return the next frame."""
@@ -272,12 +284,15 @@ def open_audio(
     device = settings.device.model_copy(update=changes)
     periods_of(acquisition, device.rate_hz)
     reference = model.atlas.baseline.astype(np.float64) if model is not None and model.atlas is not None else None
+    last: AudioDaq | None = None
 
     def connect() -> Daq:
+        nonlocal last
         try:
             card = opener(name, audio.sample_rate_hz, max(*audio.channels, audio.loopback))
         except CardAbsent as absent:
             raise DaqAbsent(str(absent)) from absent
-        return AudioDaq(card, audio, acquisition, reference, clock)
+        last = AudioDaq(card, audio, acquisition, reference, clock, None if last is None else last.response)
+        return last
 
     return DaqSource(lambda: iter([connect]), device, acquisition, clock=clock, direct=False)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from structlog.testing import capture_logs
 
 from tests.audiocard import FakeCard, answers
 from tests.processes import PATIENCE_S
@@ -413,6 +414,50 @@ def test_a_dead_channel_does_not_keep_the_others_from_working(reference: np.ndar
     counts = np.mean([frame.counts for frame in frames(started(card, reference), 10)], axis=0)
     kept = [0, 2, 3]
     assert off_db(counts[kept], EXPECTED[kept]) < -50
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, 100.0])
+@pytest.mark.parametrize("loopback", [0, 5])
+def test_a_dead_channel_of_a_plate_without_a_model(loopback: int, noise: float) -> None:
+    """A disc whose cable is off, in silence or noise, is no reason to start again and again: nothing of it is lost."""
+    rng = np.random.default_rng(0)
+
+    def response(number: int) -> np.ndarray:
+        heard: np.ndarray = UNTOUCHED[number % 40].astype(float)
+        heard[1] = rng.normal(0, noise, len(heard[1]))
+        return heard
+
+    card = FakeCard(ACQUISITION, response, PERIOD, loopback=0.3 if loopback else 0.0)
+    with capture_logs() as logs:
+        assert len(frames(started(card, None, SETTINGS.model_copy(update={"loopback": loopback})), 100)) == 100
+    assert [line["inputs"] for line in logs if "hear nothing" in line["event"]] == [[2]]
+    assert card.starts == 1
+
+
+@pytest.mark.parametrize(("same", "off"), [(True, (-200, -40)), (False, (-10, 20))])
+def test_a_card_that_comes_back_has_its_delay_from_before(same: bool, off: tuple[int, int]) -> None:
+    """A plate without a model or a cable is recorded on: its frames begin where they began before, far more exactly
+    than the first sound tells. Another plate is heard as what it is."""
+    audio = AudioSettings(sample_rate_hz=96_000, band_hz=(15e3, 44e3), chirp_s=1e-3)
+    acquisition = acquisition_of(audio)
+    rng = np.random.default_rng(3)
+    rings = np.exp(-np.arange(96) / 12) * rng.normal(0, 1, (2, 4, 96))
+    chirp = 2**13 * loop_of(acquisition.chirp, 96_000, 96, audio.level_dbfs)
+    plates = np.fft.irfft(np.fft.rfft(rings) * np.fft.rfft(chirp), 96)
+    on = [plates[0]]
+    card = FakeCard(acquisition, lambda _: on[0], 96)
+    source = open_audio(Settings(audio=audio), lambda *_: card.open(), card.name, None, clock=card.clock)
+    means = []
+    with closing(source):
+        for _ in range(2):
+            heard = (frame for frame in until_s(source) if frame is not None)
+            means.append(np.mean([next(heard).counts for _ in range(10)], axis=0))
+            card.unplugged = True
+            change_to(source, "lost")
+            on[0] = plates[0 if same else 1]
+            card.unplugged = False
+            change_to(source, "streaming")
+    assert off[0] < off_db(means[1], means[0]) < off[1]
 
 
 def humming(amplitude: float) -> FakeCard:
