@@ -6,6 +6,7 @@ from, or the first sound that arrives, to some 50 microseconds.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import permutations
 from typing import NamedTuple
 
@@ -99,11 +100,17 @@ def by_reference(captured: Floats, reference: Floats, chirp: Chirp, rate_hz: flo
     """Return the delay of the plate's response by that which the model was made from.
 
     `captured`, (channels, period), is the mean of some periods, ADC counts; `reference`, (channels, samples), has the
-    chirp's start at sample 0. Gains and the plate's temperature may be others.
+    chirp's start at sample 0. Gains and the plate's temperature may be others, and all channels inverted.
 
     Raises Doubtful if nothing is heard, the plate is another, channels are swapped, or two delays fit as well.
     """
-    return _find(captured, reference, _Emission(chirp, rate_hz, captured.shape[1]), _PLATE)
+    emission = _Emission(chirp, rate_hz, captured.shape[1])
+    try:
+        return _find(captured, reference, emission, _PLATE)
+    except Doubtful as doubt:
+        with suppress(Doubtful):
+            return _find(-captured, reference, emission, _PLATE)
+        raise doubt from None
 
 
 def by_onset(captured: Floats, loop: Floats) -> Delay:

@@ -199,7 +199,7 @@ class AudioDaq(Daq):
             self._own = moved(mean[: self._discs], -whole)[:, : self.acquisition.samples]
             steady = self._steady()
             if not self._settings.loopback:
-                steady = np.minimum(steady, np.where(found.channels > _ALIVE, 1.0, 0.0))
+                steady = np.minimum(steady, np.where(np.abs(found.channels) > _ALIVE, 1.0, 0.0))
             self._watch = Watch(self._own, steady > _STEADY)
             if silent := [self._settings.channels[i] for i in np.flatnonzero(steady < _ALIVE)]:
                 log.warning("inputs hear nothing of the chirp", inputs=silent)

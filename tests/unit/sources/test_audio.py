@@ -392,6 +392,21 @@ def test_a_gain_knob_ends_nothing(reference: np.ndarray) -> None:
     assert len(frames(daq, 20)) == 20
 
 
+@pytest.mark.parametrize("gains", [(-1, -1, -1, -1), (1, -1, 1, 1)])
+def test_wires_that_are_swapped_since_the_model_was_made(reference: np.ndarray, gains: tuple[int, ...]) -> None:
+    """An emitter, or a receiver, soldered the other way round inverts what is heard: it is heard, and watched."""
+    card = plate()
+    card.gains[:] = gains
+    with capture_logs() as logs:
+        daq = started(card, reference)
+        counts = np.mean([frame.counts for frame in frames(daq, 10)], axis=0)
+    assert off_db(counts * np.array(gains)[:, None], EXPECTED) < -50
+    assert not [line for line in logs if "hear nothing" in line["event"]]
+    card.gains[1] = 0
+    with pytest.raises(DaqGone, match="input 2 no longer hears"):
+        frames(daq, 5)
+
+
 @pytest.mark.parametrize("fault", ["muted", "swapped", "slipped"])
 def test_a_change_while_it_runs_ends_the_connection(reference: np.ndarray, fault: str) -> None:
     """Frames that would show a hand on the plate are none: within three of them the source starts afresh."""
