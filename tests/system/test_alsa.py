@@ -271,6 +271,10 @@ def test_a_long_buffer_is_filled_as_far_as_a_short_one(driver: dict[str, object]
     ("said", "told"),
     [
         ({"open": alsaaudio.ALSAAudioError("No such device or address [hw:CARD=U18]")}, "has no valid clock: set its"),
+        (
+            {"open": alsaaudio.ALSAAudioError("No space left on device [hw:CARD=U18]")},
+            "too little of its USB port: use",
+        ),
         ({"open": alsaaudio.ALSAAudioError("Invalid argument [hw:CARD=U18]")}, r"^Invalid argument \[hw:CARD=U18\]$"),
     ],
 )

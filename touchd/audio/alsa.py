@@ -211,6 +211,8 @@ def _explain(text: str, name: str, *, opening: bool = False) -> str:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
     if "No such device or address" in text and not opening:  # so the kernel's driver says it
         return f"{name} has no valid clock: set its clock to internal, or connect what it is to follow"
+    if "No space left" in text:  # of the bus, not of a disk
+        return f"{name} gets too little of its USB port: use another one, no hub, or a lower audio.sample_rate_hz"
     named = re.search(r"CARD=([^,]+)", name)
     # There, but not for this user.
     hidden = "No such" in text and named and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()

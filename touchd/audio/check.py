@@ -138,7 +138,9 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     cable, hears = int(np.argmax(alike)), alike > HEARD * by_chance
     noise -= noise.mean(axis=2, keepdims=True)
     if not hears[cable]:
-        raise Doubtful("no input hears the output: join an output to an input with a cable, and turn the knobs up")
+        raise Doubtful(
+            "no input hears the output: join one to an input with a cable, unmute it (alsamixer), turn the knobs up"
+        )
     found = Checked(card.name, card.rate_hz, cable + 1)
     found.noise_dbfs = _db(2 * noise.var(axis=(0, 2))).tolist()
     _take_response(found, heard, sweep, noise[:, cable])

@@ -35,7 +35,7 @@ _BY_CHANCE = 0.25
 _PARTS = 16  # of the chirp's band, for a stretch
 _LEAD = 0.1  # of a period: how early an answer may come, in steady state
 _PLATE = (
-    "nothing is heard: check the output's cable and knob, the discs' cables, and audio.level_dbfs",
+    "nothing is heard: check the output's cable, knob and mute (alsamixer), the discs' cables, and audio.level_dbfs",
     "what is heard is not the plate that the model was made for (that explains {:.0%}): check the cables; is another "
     "program playing? Else stop touchd, and calibrate again with --audio",
 )

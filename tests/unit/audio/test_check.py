@@ -194,7 +194,7 @@ def test_without_a_cable_it_says_so(noise: float) -> None:
     card = CableCard()
     card.noise = noise
     card.gains[:] = 0
-    with pytest.raises(Doubtful, match="with a cable"):
+    with pytest.raises(Doubtful, match=r"with a cable, unmute it \(alsamixer\)"):
         check(card, restarts=1, seconds=0.05, level_dbfs=-12.0)
 
 
