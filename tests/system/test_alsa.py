@@ -113,6 +113,8 @@ class Driver:
     def __init__(self, **asked: object) -> None:
         if isinstance(refusal := self.said.get("open"), Exception):
             raise refusal
+        if asked["format"] in (self.said.get("too wide") or ()):  # type: ignore[operator]
+            raise alsaaudio.ALSAAudioError("No space left on device [hw:CARD=U18]")
         self._asked = asked
         self._ready = os.eventfd(1)
 
@@ -231,6 +233,18 @@ def test_a_card_opens_in_the_mode_that_has_the_inputs(
     assert block is not None
     assert block.shape == (48, channels)
     assert library.open == 0
+
+
+def test_a_port_that_is_too_narrow_for_24_bits(driver: dict[str, object]) -> None:
+    """A USB port may have no room for 32 or 24 bits a sample, and some for 16, of which touchd uses no more."""
+    driver["too wide"] = (alsaaudio.PCM_FORMAT_S32_LE, alsaaudio.PCM_FORMAT_S24_3LE)
+    driver["read"] = (48, bytes(48 * 4 * 2))
+    card = AlsaCard("null", 48_000, 4)
+    card.start(np.zeros(480))
+    block = card.exchange(0.1)
+    card.close()
+    assert block is not None
+    assert block.shape == (48, 4)
 
 
 @pytest.mark.parametrize(

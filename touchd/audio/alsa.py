@@ -134,22 +134,28 @@ class AlsaCard:
 
     def _open(self, kind: int, channels: int, buffer_s: float) -> Any:
         """Return an open stream with at least so many channels, in the first format that the card has."""
-        sample, channels = _fit(self.name, kind, self.rate_hz, channels)
         block = round(BLOCK_S * self.rate_hz)
-        stream = alsaaudio.PCM(
-            type=kind, mode=alsaaudio.PCM_NONBLOCK, device=self.name, rate=self.rate_hz, channels=channels,
-            format=sample, periodsize=block, periods=round(buffer_s * self.rate_hz / block),
-        )  # fmt: skip
+        fits = _fit(self.name, kind, self.rate_hz, channels)
+        for sample, count in fits:
+            try:
+                stream = alsaaudio.PCM(
+                    type=kind, mode=alsaaudio.PCM_NONBLOCK, device=self.name, rate=self.rate_hz, channels=count,
+                    format=sample, periodsize=block, periods=round(buffer_s * self.rate_hz / block),
+                )  # fmt: skip
+                break
+            except alsaaudio.ALSAAudioError as error:  # 24 bits may be too many for a USB port, 16 not
+                if "No space left" not in str(error) or sample == fits[-1][0]:
+                    raise
         info = stream.info()  # what it cannot set it leaves as it is
         got = info["format"], info["channels"], info["rate"]
-        if got != (sample, channels, self.rate_hz):
+        if got != (sample, count, self.rate_hz):
             stream.close()
             raise CardAbsent(f"{self.name} takes {got[2]} samples a second and {got[1]} channels, not as it said")
         return stream
 
 
-def _fit(name: str, kind: int, rate_hz: int, channels: int) -> tuple[int, int]:
-    """Return the format, and the fewest channels from so many on, that a card takes at a sample rate.
+def _fit(name: str, kind: int, rate_hz: int, channels: int) -> list[tuple[int, int]]:
+    """Return the formats that a card takes at a sample rate, each with its fewest channels from so many on.
 
     A card has the numbers of channels of its modes alone, such as 10 and 18, each at some rates. pyalsaaudio asks for
     one number and takes the least if there is no such mode; it leaks where no stream opens, and a card may be away for
@@ -168,6 +174,7 @@ def _fit(name: str, kind: int, rate_hz: int, channels: int) -> tuple[int, int]:
             and _LIBRARY.snd_pcm_hw_params_set_rate(stream, params, at_hz, 0) >= 0
         )
 
+    fits = []
     try:
         _LIBRARY.snd_pcm_hw_params_malloc(ctypes.byref(params))
         for sample in _BYTES:
@@ -175,9 +182,12 @@ def _fit(name: str, kind: int, rate_hz: int, channels: int) -> tuple[int, int]:
                 found.value = channels
                 if _LIBRARY.snd_pcm_hw_params_set_channels_min(stream, params, ctypes.byref(found)) >= 0:
                     _LIBRARY.snd_pcm_hw_params_get_channels_min(params, ctypes.byref(found))
-                    return sample, found.value
+                    fits.append((sample, found.value))
+                    continue
                 _LIBRARY.snd_pcm_hw_params_get_channels_max(params, ctypes.byref(found))
                 most = max(most, found.value)
+        if fits:
+            return fits
         rates = [str(at_hz) for at_hz in LOWER_RATES_HZ if any(takes(sample, at_hz) for sample in _BYTES)]
     finally:
         _LIBRARY.snd_pcm_hw_params_free(params)
