@@ -183,6 +183,8 @@ class CableCard:
         """The share of a change of level, in dB, that automatic gain takes back."""
         self.muted_s = 0.0
         """For how long after a start the output is silent, as converters that mute themselves are."""
+        self.monitored, self.monitored_s = 0.0, 2e-3
+        """Share of what the cable's input hears that direct monitoring adds to the output, and how much later."""
         self.xruns = 0
         self.true_rate_hz, self.seconds = float(rate_hz), 0.0
         self._rng = np.random.default_rng(seed)
@@ -191,6 +193,8 @@ class CableCard:
         shaped = loop + self.third * loop**3
         shaped *= np.maximum(np.abs(shaped).max(), 1e-6) ** -self.automatic
         spectrum = np.fft.rfft(shaped) * (np.fft.rfftfreq(len(loop), 1 / self.rate_hz) < self.lowpass_hz)
+        later = np.exp(-2j * np.pi * np.fft.rfftfreq(len(loop)) * round(self.monitored_s * self.rate_hz))
+        spectrum = spectrum / (1 - self.gains[1] * self.monitored * later)
         self.delay = int(self._rng.integers(100, 2000)) + self.fraction
         self._heard = np.outer(self.gains, moved(np.fft.irfft(spectrum, len(loop)), self.delay))
         self._at = 0

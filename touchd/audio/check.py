@@ -24,6 +24,9 @@ MOST_SPREAD_DB = 0.5
 """Converters and amplifiers keep their gain to a tenth of that at any level."""
 MOST_CROSSTALK_DB = -30.0
 """Less comes through the air and inside a box; more is mixed on purpose, or a second cable."""
+MOST_ECHO_DB = -20.0
+"""Filters ring less, and no longer."""
+RINGS_S = 1e-3
 PASSED_DB = -12.0
 """The band ends where less passes, relative to its middle."""
 AUDIBLE_HZ = 20_000.0
@@ -70,6 +73,10 @@ class Checked:
     """Harmonics of a tone, relative to it, by level played; None where the input clips."""
     delays: list[float] = field(default_factory=list)
     """Samples from playback to capture, of each start."""
+    echo_db: float = 0.0
+    """What is heard a second time, relative to the first."""
+    echo_s: float = 0.0
+    """How much later."""
     resamples: str = ""
     """Why the sample rate is not a true one; empty if it is."""
     band_hz: tuple[float, float] = (0.0, 0.0)
@@ -136,7 +143,13 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     alike, by_chance = (explained(_without_hum(part, card.rate_hz), listened).max(axis=(1, 2))
                         for part in (heard, noise.mean(axis=0)))  # fmt: skip
     cable, hears = int(np.argmax(alike)), alike > HEARD * by_chance
+    loud = np.flatnonzero(np.abs(noise).max(axis=(0, 2)) * _FULL_SCALE >= _LIMIT) + 1
     noise -= noise.mean(axis=2, keepdims=True)
+    if len(loud) and (not hears[cable] or cable + 1 in loud):
+        raise Doubtful(
+            f"input {', '.join(map(str, loud))} clips while nothing is played: switch direct monitoring off, and turn "
+            "its gain down"
+        )
     if not hears[cable]:
         raise Doubtful(
             "no input hears the output: join one to an input with a cable, unmute it (alsamixer), turn the knobs up"
@@ -144,6 +157,7 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     found = Checked(card.name, card.rate_hz, cable + 1)
     found.noise_dbfs = _db(2 * noise.var(axis=(0, 2))).tolist()
     _take_response(found, heard, sweep, noise[:, cable])
+    found.echo_db, found.echo_s = _echo(_without_hum(heard[cable], card.rate_hz), listened[0], card.rate_hz)
     mixed = hears & (np.array(found.crosstalk_db) > MOST_CROSSTALK_DB)
     found.mixed = [i for i in (np.flatnonzero(mixed) + 1).tolist() if i != found.cable]
     try:
@@ -204,6 +218,18 @@ def _without_hum(signal: Floats, rate_hz: int) -> Floats:
     spectrum = np.fft.rfft(signal)
     spectrum[..., np.fft.rfftfreq(signal.shape[-1], 1 / rate_hz) < HUM_HZ] = 0
     return np.asarray(np.fft.irfft(spectrum, signal.shape[-1]))
+
+
+def _echo(heard: Floats, played: Floats, rate_hz: int) -> tuple[float, float]:
+    """Return the largest part of the impulse response beside its peak, relative to that, dB, and how much later, s."""
+    spectrum = np.fft.rfft(played)
+    power = np.abs(spectrum) ** 2
+    answer = np.fft.rfft(heard) * np.conj(spectrum) / np.maximum(power, 0.1 * power.max())
+    impulse = np.abs(np.fft.irfft(answer, len(played)))
+    impulse = np.roll(impulse, -int(np.argmax(impulse)))
+    rings = round(RINGS_S * rate_hz)
+    later = rings + int(np.argmax(impulse[rings:-rings]))
+    return float(_db(np.square(impulse[later] / max(impulse[0], 1e-30)))), later / rate_hz
 
 
 def _distortion(card: Card, period: int, cable: int, dbfs: float) -> tuple[float | None, float]:

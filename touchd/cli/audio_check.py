@@ -161,7 +161,7 @@ def text(found: Checked, plan: Plan | None = None) -> list[str]:
 
 def _remedies(found: Checked) -> dict[str, str]:
     """Return by row what to do about what will not do."""
-    from touchd.audio.check import GOOD_DB, LEVELS_DBFS, LOW_DISTORTION_DB, MOST_OFF, MOST_SPREAD_DB
+    from touchd.audio.check import GOOD_DB, LEVELS_DBFS, LOW_DISTORTION_DB, MOST_ECHO_DB, MOST_OFF, MOST_SPREAD_DB
 
     off = abs(found.true_rate_hz / found.sample_rate_hz - 1) > MOST_OFF
     wrong = {
@@ -187,6 +187,10 @@ def _remedies(found: Checked) -> dict[str, str]:
             found.level_dbfs < LEVELS_DBFS[-2],
             f"below {LOW_DISTORTION_DB:.0f} dB is wanted at {LEVELS_DBFS[-2]:g} dBFS: turn the input's gain down, and "
             "switch a limiter off",
+        ),
+        "delay": (
+            found.echo_db > MOST_ECHO_DB,
+            f"heard again {1e3 * found.echo_s:.1f} ms later, at {found.echo_db:.0f} dB: switch direct monitoring off",
         ),
         "xruns": (found.xruns > 0, "end other programs; see Real time in docs/integrator.md"),
     }

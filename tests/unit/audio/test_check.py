@@ -104,6 +104,7 @@ def test_what_inputs_hear_beside_the_output(found: Checked, fault: str) -> None:
     [
         ({"automatic": 0.5}, "cable", "changes by 9.5 dB with the level: switch automatic gain off"),
         ({"gains": np.array([0.3, 0.5, 0.0])}, "crosstalk", "the output is mixed to input 1, too"),
+        ({"monitored": 0.5}, "delay", "heard again 2.0 ms later, at -12 dB: switch direct monitoring off"),
         ({"gains": np.array([0.0, 3e-3, 0.0])}, "noise", "60 dB are wanted"),
         ({"gains": np.array([0.0, 8.0, 0.0])}, "distortion", "turn the input's gain down"),
     ],
@@ -117,6 +118,14 @@ def test_what_a_card_does_on_its_own_account(change: dict[str, Any], row: str, t
     (remedy,) = (line for line in lines if "->" in line)
     assert told in remedy
     assert lines[lines.index(remedy) - 1].startswith(row)
+
+
+def test_an_input_that_clips_in_silence() -> None:
+    """As where direct monitoring howls: no cable is blamed."""
+    card = CableCard()
+    card.noise = 1.0
+    with pytest.raises(Doubtful, match="input 1, 2, 3 clips while nothing is played: switch direct monitoring off"):
+        checked(card)
 
 
 def test_a_table_of_many_inputs_is_no_wider_than_a_terminal() -> None:
