@@ -27,6 +27,13 @@ pcm.bench {{
     playback.pcm {{ type file slave.pcm null file "{home}/out.raw" format "raw" }}
     capture.pcm {{ type file slave.pcm null file "/dev/null" infile "{home}/in.raw" format "raw" }}
 }}
+pcm.ten {{ type asym; playback.pcm null; capture.pcm five_and_five }}
+pcm.five_and_five {{
+    type multi
+    slaves.a {{ pcm null channels 5 }}
+    slaves.b {{ pcm null channels 5 }}
+    bindings [ {bindings} ]
+}}
 """
 PROGRAM = """
 import sys
@@ -43,6 +50,10 @@ while len(blocks) < 100:
         blocks.append(block.copy())
 card.close()
 np.save(sys.argv[1], np.concatenate(blocks))
+ten = AlsaCard("ten", 48000, 4)
+ten.start(loop)
+np.save(sys.argv[1].replace("captured", "ten"), ten.exchange(0.1))
+ten.close()
 import touchd.audio.alsa
 from pathlib import Path
 for cards in ("none", "cards"):
@@ -65,7 +76,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     home = tmp_path_factory.mktemp("alsa")
     (home / "cards" / "card0").mkdir(parents=True)
     (home / "cards" / "Denied").symlink_to("card0")
-    (home / "asound.conf").write_text(CONFIG.format(home=home))
+    bindings = " ".join(f"{{ slave {slave} channel {at} }}" for slave in "ab" for at in range(5))
+    (home / "asound.conf").write_text(CONFIG.format(home=home, bindings=bindings))
     (np.arange(4 * 48_000).reshape(-1, 4) << 12).astype("<i4").tofile(home / "in.raw")
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, home / "captured.npy"], capture_output=True, text=True, timeout=PATIENCE_S,
@@ -89,6 +101,11 @@ def test_what_is_captured_is_the_upper_16_bits_in_order(home: Path) -> None:
     captured = np.load(home / "captured.npy").ravel()
     assert len(captured) == 4 * 4800
     assert (captured == (captured[0] * 16 + np.arange(len(captured))) // 16).all()
+
+
+def test_a_card_that_has_ten_inputs_and_no_fewer(home: Path) -> None:
+    """ALSA's own library is asked how many there are: most interfaces have one number of inputs."""
+    assert np.load(home / "ten.npy").shape[1] == 10
 
 
 def test_a_card_that_is_not_there_is_told_in_one_line(home: Path) -> None:
