@@ -185,6 +185,8 @@ class CableCard:
         """For how long after a start the output is silent, as converters that mute themselves are."""
         self.monitored, self.monitored_s = 0.0, 2e-3
         """Share of what the cable's input hears that direct monitoring adds to the output, and how much later."""
+        self.apart_ppm = 0.0
+        """How much faster than the input's clock the output's is."""
         self.xruns = 0
         self.true_rate_hz, self.seconds = float(rate_hz), 0.0
         self._rng = np.random.default_rng(seed)
@@ -209,6 +211,8 @@ class CableCard:
         block = self.rate_hz // 100
         self.seconds += block / self.true_rate_hz
         at = (self._at + np.arange(block)) % self._heard.shape[1]
+        if self.apart_ppm:
+            self._heard = moved(self._heard, -1e-6 * self.apart_ppm * block)
         played = 0.0 if self._at < self.muted_s * self.rate_hz else 1.0
         self._at += block
         signal = (

@@ -40,6 +40,8 @@ HUM_HZ = 1000.0
 """Below lie mains hum, which inputs without a cable hear, and an offset: no cable is told by them."""
 HEARD = 10.0
 """An input hears the output that gets this many times as much of it as silence resembles it."""
+_FINER = 32  # a period is compared with the next one to this part of a sample
+_APART_PPM = 4.0  # of two clocks, which differ by tens
 _SETTLE_S = 0.5
 """Converters mute themselves while they start, and filters ring."""
 _FULL_SCALE = 2.0**15
@@ -138,7 +140,8 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     t = np.arange(period) / card.rate_hz
     # Periodic, of constant amplitude over all that converters pass.
     sweep = np.sin(np.pi * (PASSED * card.rate_hz) / t[-1] * t**2) * 10 ** (level_dbfs / 20)
-    heard = hear(card, sweep).mean(axis=0)
+    periods = hear(card, sweep)
+    heard = periods.mean(axis=0)
     listened = _without_hum(sweep, card.rate_hz)[None]
     alike, by_chance = (explained(_without_hum(part, card.rate_hz), listened).max(axis=(1, 2))
                         for part in (heard, noise.mean(axis=0)))  # fmt: skip
@@ -154,6 +157,7 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
         raise Doubtful(
             "no input hears the output: join one to an input with a cable, unmute it (alsamixer), turn the knobs up"
         )
+    _check_one_clock(_without_hum(periods[:, cable], card.rate_hz))
     found = Checked(card.name, card.rate_hz, cable + 1)
     found.noise_dbfs = _db(2 * noise.var(axis=(0, 2))).tolist()
     _take_response(found, heard, sweep, noise[:, cable])
@@ -211,6 +215,19 @@ def _band(frequency_hz: Floats, response_db: Floats, rate_hz: int) -> tuple[floa
     poor = above & (response_db < np.median(response_db[above]) + PASSED_DB)
     end = int(np.argmax(poor)) if poor.any() else len(frequency_hz)
     return round(low_hz, -2), round(max(float(frequency_hz[end - 1]), 1.1 * low_hz), -2)
+
+
+def _check_one_clock(periods: Floats) -> None:
+    """Raise Doubtful if captured periods, (n, period), come later and later: no delay would last."""
+    turns = np.fft.rfft(periods[1:]) * np.conj(np.fft.rfft(periods[:-1]))
+    fine = np.fft.irfft(turns.sum(axis=0), _FINER * periods.shape[1])
+    later = int(np.argmax(fine))
+    off_ppm = 1e6 * (later - (later > len(fine) // 2) * len(fine)) / len(fine)
+    if abs(off_ppm) > _APART_PPM:
+        raise Doubtful(
+            f"outputs and inputs run on clocks of their own, {abs(off_ppm):.0f} ppm apart: choose one for both in the "
+            "interface's mixer, or take an interface that has one"
+        )
 
 
 def _without_hum(signal: Floats, rate_hz: int) -> Floats:

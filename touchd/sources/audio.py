@@ -237,7 +237,8 @@ class AudioDaq(Daq):
         clipped = self._high_pass.clips(counts)
         if lost := self._watch.lost(self._high_pass.filtered):
             which = ", ".join(str(self._settings.channels[i]) for i in lost)
-            raise DaqGone(f"input {which} no longer hears the chirp as before: lost samples, a cable, a knob or a mute")
+            why = "lost samples, a cable, a knob, a mute, or outputs and inputs on two clocks"
+            raise DaqGone(f"input {which} no longer hears the chirp as before: {why}")
         frame = DaqFrame(counts, self._sequence, round(self._time_us), clipped)
         self._sequence += 1
         self._count()

@@ -128,6 +128,15 @@ def test_an_input_that_clips_in_silence() -> None:
         checked(card)
 
 
+@pytest.mark.parametrize(("apart_ppm", "told"), [(-50.0, r"(4|5)\d"), (10.0, r"1\d")])
+def test_two_clocks(apart_ppm: float, told: str) -> None:
+    """Where the output's clock is not the input's, no delay lasts: nothing else is worth a table."""
+    card = CableCard()
+    card.apart_ppm = apart_ppm
+    with pytest.raises(Doubtful, match=f"on clocks of their own, {told} ppm apart"):
+        checked(card)
+
+
 def test_a_table_of_many_inputs_is_no_wider_than_a_terminal() -> None:
     card = CableCard(inputs=18)
     assert max(map(len, text(checked(card)))) <= 120
