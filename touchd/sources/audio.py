@@ -36,6 +36,8 @@ DOUBT_S = 0.5
 """Until then a start is measured again if no delay is certain: converters mute themselves while they start."""
 START_S = 1.0
 """A card that brings no frame for this long after its start will bring none: the delay is found by then."""
+BUS_S = 0.03
+"""How long samples take over a USB bus and through converters at a start, at most: the kernel queues 18 ms of them."""
 STILL_SAMPLES = 5e-4
 """A smaller fraction is left as it is."""
 _MOST_MOVES = 3
@@ -159,12 +161,11 @@ class AudioDaq(Daq):
             raise DaqGone(str(gone)) from gone
         self._capture.reset()
         self._moves = 0
-        self._settle()
+        self._settle(round(BUS_S * self.acquisition.sample_rate_hz))
 
-    def _settle(self, ahead: int = 0) -> None:
+    def _settle(self, ahead: int) -> None:
         """Measure the delay in periods that hold nothing of what was played before, so many samples ahead."""
-        wait = ahead + round(SETTLE_S * self.acquisition.sample_rate_hz)
-        self._capture.skip(wait, whole_periods=True)
+        self._capture.skip(ahead + round(SETTLE_S * self.acquisition.sample_rate_hz), whole_periods=True)
         self._sums, self._measured = np.zeros((2, len(self._inputs), self._period)), 0  # of every other period
         self._aligned, self._needed = False, self._period
 
@@ -180,7 +181,7 @@ class AudioDaq(Daq):
             except Doubtful as doubt:
                 if self._capture.passed > DOUBT_S * self.acquisition.sample_rate_hz:
                     raise DaqGone(str(doubt)) from doubt
-                self._settle()
+                self._settle(0)
 
     def _align(self, mean: Floats) -> None:
         """Cut where the response to a chirp begins, and play the chirp so that it begins with a sample."""
