@@ -28,7 +28,7 @@ MOST_ECHO_DB = -20.0
 """Filters ring less, and no longer."""
 RINGS_S = 1e-3
 PASSED_DB = -12.0
-"""The band ends where less passes, relative to its middle."""
+"""The band ends where less passes, relative to where most does."""
 AUDIBLE_HZ = 20_000.0
 GOOD_DB = 60.0
 """Signal-to-noise ratio that the pages' accuracies are for."""
@@ -179,8 +179,10 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     found.gain_spread_db = float(np.ptp(list(clean.values()))) if clean else 0.0
     for number in range(restarts):
         progress(f"start {number + 1} of {restarts}")
-        captured = _without_hum(hear(card, sweep).mean(axis=0)[cable], card.rate_hz)
-        found.delays.append(by_loopback(captured * _FULL_SCALE, listened[0]).samples)
+        # Of what passes: many cards pass half of what they sample.
+        captured = _without_hum(hear(card, sweep).mean(axis=0)[cable], card.rate_hz, found.band_hz[1])
+        passed = _without_hum(sweep, card.rate_hz, found.band_hz[1])
+        found.delays.append(by_loopback(captured * _FULL_SCALE, passed).samples)
     progress(f"xruns in {seconds:g} s")
     _take_time(found, card, sweep, seconds)
     return found
@@ -212,7 +214,7 @@ def _band(frequency_hz: Floats, response_db: Floats, rate_hz: int) -> tuple[floa
     """Return the band to use: above hearing, as far as half of the sample rate leaves room for, and what passes."""
     low_hz = min(AUDIBLE_HZ, 0.16 * rate_hz)
     above = frequency_hz >= low_hz
-    poor = above & (response_db < np.median(response_db[above]) + PASSED_DB)
+    poor = above & (response_db < response_db[above].max() + PASSED_DB)
     end = int(np.argmax(poor)) if poor.any() else len(frequency_hz)
     return round(low_hz, -2), round(max(float(frequency_hz[end - 1]), 1.1 * low_hz), -2)
 
@@ -230,10 +232,11 @@ def _check_one_clock(periods: Floats) -> None:
         )
 
 
-def _without_hum(signal: Floats, rate_hz: int) -> Floats:
-    """Return periodic signals, (..., period), without mains hum and offset."""
+def _without_hum(signal: Floats, rate_hz: int, below_hz: float = np.inf) -> Floats:
+    """Return periodic signals, (..., period), without mains hum, offset, and what lies above a frequency."""
     spectrum = np.fft.rfft(signal)
-    spectrum[..., np.fft.rfftfreq(signal.shape[-1], 1 / rate_hz) < HUM_HZ] = 0
+    frequency_hz = np.fft.rfftfreq(signal.shape[-1], 1 / rate_hz)
+    spectrum[..., (frequency_hz < HUM_HZ) | (frequency_hz > below_hz)] = 0
     return np.asarray(np.fft.irfft(spectrum, signal.shape[-1]))
 
 
