@@ -89,14 +89,14 @@ class AudioDaq(Daq):
         self.acquisition = acquisition
         self.device = Device(serial=card.name)
         self.max_rate_hz = int(acquisition.sample_rate_hz // acquisition.samples)
-        self._card, self._settings, self._reference, self._clock = card, settings, reference, clock
-        self._earlier = earlier
+        self._card, self._settings, self._clock = card, settings, clock
+        self._reference, self._earlier = reference, earlier
         self._own: Floats | None = None  # the response at the first delay that was found
         self._inputs = np.array([at - 1 for at in (*settings.channels, settings.loopback) if at])
         self._discs = len(settings.channels)
         self._no_counts: Samples = np.zeros(acquisition.shape, np.int16)
-        a = acquisition
-        self._high_pass = HighPass(min(a.chirp.start_hz, a.chirp.stop_hz), a.sample_rate_hz, *a.shape)
+        lowest_hz = min(acquisition.chirp.start_hz, acquisition.chirp.stop_hz)
+        self._high_pass = HighPass(lowest_hz, acquisition.sample_rate_hz, *acquisition.shape)
 
     def start(self, rate_hz: int) -> None:
         """Play and capture; frames come once the delay is found."""
@@ -119,7 +119,8 @@ class AudioDaq(Daq):
             try:
                 block = self._card.exchange(timeout_s)
             except CardXrun as xrun:
-                log.warning("xrun", why=str(xrun))
+                if not self._xrun:  # a burst is told once
+                    log.warning("xrun", why=str(xrun))
                 self._xrun = True
                 self._restart()
                 return None
@@ -200,7 +201,7 @@ class AudioDaq(Daq):
             self._own = moved(mean[: self._discs], -whole)[:, : self.acquisition.samples]
             steady = self._steady()
             if not self._settings.loopback:
-                steady = np.minimum(steady, np.where(np.abs(found.channels) > _ALIVE, 1.0, 0.0))
+                steady[np.abs(found.channels) < _ALIVE] = 0
             self._watch = Watch(self._own, steady > _STEADY)
             if silent := [self._settings.channels[i] for i in np.flatnonzero(steady < _ALIVE)]:
                 log.warning("inputs hear nothing of the chirp", inputs=silent)
@@ -238,8 +239,7 @@ class AudioDaq(Daq):
         clipped = self._high_pass.clips(counts)
         if lost := self._watch.lost(self._high_pass.filtered):
             which = ", ".join(str(self._settings.channels[i]) for i in lost)
-            why = "lost samples, a cable, a knob, a mute, or outputs and inputs on two clocks"
-            raise DaqGone(f"input {which} no longer hears the chirp as before: {why}")
+            raise DaqGone(f"input {which} no longer hears the chirp as before: lost samples, a cable, a knob or a mute")
         frame = DaqFrame(counts, self._sequence, round(self._time_us), clipped)
         self._sequence += 1
         self._count()

@@ -201,6 +201,22 @@ def test_an_xrun_while_it_starts_costs_no_second(reference: np.ndarray, loopback
     assert card.clock.ns - began_ns < 0.7e9
 
 
+def test_a_burst_of_xruns_is_one_line_in_the_log(reference: np.ndarray) -> None:
+    """A computer that is too slow for minutes fills no disk; each period is counted all the same."""
+    card = plate()
+    daq = started(card, reference)
+    frames(daq, 1)
+    with capture_logs() as logs:
+        lost = 0
+        for _ in range(3000):
+            card.xrun |= card.clock.ns % 100_000_000 == 0
+            frame = daq.read(0.1)
+            lost += frame is not None and frame.withheld == "xrun"
+    assert card.starts > 10
+    assert lost > 300
+    assert [line["event"] for line in logs] == ["xrun"]
+
+
 @pytest.mark.parametrize("muted_s", [0.1, 0.3, 0.45])
 @pytest.mark.parametrize("loopback", [0, 5])
 def test_an_output_that_is_silent_at_first(reference: np.ndarray, muted_s: float, loopback: int) -> None:
