@@ -195,7 +195,7 @@ def _fit(name: str, kind: int, rate_hz: int, channels: int) -> list[tuple[int, i
     if most:
         raise CardAbsent(f"{name} has {most} channels at {rate_hz} samples a second, not {channels}")
     if not rates:
-        raise CardAbsent(f"{name} has no format of whole numbers: write plug{name}, which converts")
+        raise CardAbsent(f"{name} has no format of whole numbers: write plughw: for hw:, which converts")
     raise CardAbsent(
         f"{name} takes {', '.join(rates)} samples a second, not {rate_hz}: set another audio.sample_rate_hz, and "
         "audio.band_hz below half of it"
