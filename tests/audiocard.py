@@ -164,7 +164,7 @@ class FakeCard:
         if self.disturbance:
             heard = heard + self.disturbance * self._rng.standard_normal(heard.shape)
         heard = heard[self.order] * self.gains[:, None]
-        if self.period_number - self._started < self.muted_s * self.rate_hz / self._period:
+        if self.muted_s and self.period_number - self._started < self.muted_s * self.rate_hz / self._period:
             heard *= 0
         return np.asarray(np.clip(np.rint(heard), -(2**15), 2**15 - 1), np.int16)
 
