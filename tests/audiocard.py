@@ -87,6 +87,8 @@ class FakeCard:
         """Captured already, and lost by an xrun: who reads it does not wait."""
         self.disturbance = 0.0
         self.lowpass_hz: float | None = None
+        self.muted_s = 0.0
+        """For how long after a start the output is silent, as converters that mute themselves are."""
         self.clock = clock or Clock()
         self._loopback = loopback
         self._a, self._response, self._period = acquisition, response, period
@@ -110,6 +112,7 @@ class FakeCard:
         self.starts += 1
         self.delay = float(self._rng.uniform(0, self._period))
         self._loop, self._next_loop, self._until = loop, loop, 0
+        self._started = self.period_number
         self._captured = np.zeros((int(self.delay), self.inputs), np.int16)
         self.xrun = self.xruns_only
 
@@ -161,6 +164,8 @@ class FakeCard:
         if self.disturbance:
             heard = heard + self.disturbance * self._rng.standard_normal(heard.shape)
         heard = heard[self.order] * self.gains[:, None]
+        if self.muted_s and self.period_number - self._started < self.muted_s * self.rate_hz / self._period:
+            heard *= 0
         return np.asarray(np.clip(np.rint(heard), -(2**15), 2**15 - 1), np.int16)
 
 
@@ -172,15 +177,26 @@ class CableCard:
         self.gains = np.array([0.001, 0.5, *[0.0] * (inputs - 2)])
         self.noise, self.third, self.fraction = 1e-4, 1e-3, 0.25
         self.lowpass_hz = 0.5 * rate_hz
-        self.hum = 0.0
-        """Amplitude of 50 Hz in all inputs."""
+        self.hum = self.offset = 0.0
+        """Amplitude of 50 Hz, and a constant, in all inputs."""
+        self.automatic = 0.0
+        """The share of a change of level, in dB, that automatic gain takes back."""
+        self.muted_s = 0.0
+        """For how long after a start the output is silent, as converters that mute themselves are."""
+        self.monitored, self.monitored_s = 0.0, 2e-3
+        """Share of what the cable's input hears that direct monitoring adds to the output, and how much later."""
+        self.apart_ppm = 0.0
+        """How much faster than the input's clock the output's is."""
         self.xruns = 0
         self.true_rate_hz, self.seconds = float(rate_hz), 0.0
         self._rng = np.random.default_rng(seed)
 
     def start(self, loop: Floats) -> None:
         shaped = loop + self.third * loop**3
+        shaped *= np.maximum(np.abs(shaped).max(), 1e-6) ** -self.automatic
         spectrum = np.fft.rfft(shaped) * (np.fft.rfftfreq(len(loop), 1 / self.rate_hz) < self.lowpass_hz)
+        later = np.exp(-2j * np.pi * np.fft.rfftfreq(len(loop)) * round(self.monitored_s * self.rate_hz))
+        spectrum = spectrum / (1 - self.gains[1] * self.monitored * later)
         self.delay = int(self._rng.integers(100, 2000)) + self.fraction
         self._heard = np.outer(self.gains, moved(np.fft.irfft(spectrum, len(loop)), self.delay))
         self._at = 0
@@ -195,8 +211,13 @@ class CableCard:
         block = self.rate_hz // 100
         self.seconds += block / self.true_rate_hz
         at = (self._at + np.arange(block)) % self._heard.shape[1]
+        if self.apart_ppm:
+            self._heard = moved(self._heard, -1e-6 * self.apart_ppm * block)
+        played = 0.0 if self._at < self.muted_s * self.rate_hz else 1.0
         self._at += block
-        signal = self._heard[:, at].T + self.noise * self._rng.standard_normal((block, self.inputs))
+        signal = (
+            self.offset + played * self._heard[:, at].T + self.noise * self._rng.standard_normal((block, self.inputs))
+        )
         signal += self.hum * np.sin(100 * np.pi / self.rate_hz * (self._at + np.arange(block)))[:, None]
         return np.asarray(np.clip(np.rint(signal * 2**15), -(2**15), 2**15 - 1), np.int16)
 

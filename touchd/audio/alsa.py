@@ -21,6 +21,7 @@ import alsaaudio
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.audio.capture import LOWER_RATES_HZ
 from touchd.audio.card import CardAbsent, CardGone, CardXrun, Floats, Samples
 
 CARDS = Path("/proc/asound")
@@ -67,17 +68,19 @@ class AlsaCard:
             raise
         captured, played = self._capture.info(), self._playback.info()
         self._inputs: int = captured["channels"]
-        self.ahead: int = played["buffer_size"] + captured["period_size"]
+        # Where playback takes its clock from the capture, the kernel makes both buffers equally long.
+        self._filled = min(played["buffer_size"], max(round(AHEAD_S * rate_hz), 2 * played["period_size"]))
+        self.ahead: int = self._filled + captured["period_size"]
         self._bytes = _BYTES[captured["format"]]
         self._outputs, self._out_bytes = played["channels"], _BYTES[played["format"]]
         self._frame_bytes = self._outputs * self._out_bytes
 
     def start(self, loop: Floats) -> None:
-        """Fill the playback's buffer, which starts it, then capture."""
+        """Write ahead, which starts the playback, then capture."""
         try:
             self._capture.drop()
             self._playback.drop()
-            self._next, self._owed = 0, self._playback.info()["buffer_size"]
+            self._next, self._owed = 0, self._filled
             self.play(loop)
             self._top_up()
             self._capture.read()  # nothing yet: this starts it
@@ -131,36 +134,72 @@ class AlsaCard:
 
     def _open(self, kind: int, channels: int, buffer_s: float) -> Any:
         """Return an open stream with at least so many channels, in the first format that the card has."""
-        _check_opens(self.name, kind)
         block = round(BLOCK_S * self.rate_hz)
-        for sample in _BYTES:
-            # What it cannot set it leaves as it is; `getchannels` would count up to 2^32 on some plugins.
-            stream = alsaaudio.PCM(
-                type=kind, mode=alsaaudio.PCM_NONBLOCK, device=self.name, rate=self.rate_hz, channels=channels,
-                format=sample, periodsize=block, periods=round(buffer_s * self.rate_hz / block),
-            )  # fmt: skip
-            info = stream.info()
-            if info["format"] == sample:
+        fits = _fit(self.name, kind, self.rate_hz, channels)
+        for sample, count in fits:
+            try:
+                stream = alsaaudio.PCM(
+                    type=kind, mode=alsaaudio.PCM_NONBLOCK, device=self.name, rate=self.rate_hz, channels=count,
+                    format=sample, periodsize=block, periods=round(buffer_s * self.rate_hz / block),
+                )  # fmt: skip
                 break
+            except alsaaudio.ALSAAudioError as error:  # 24 bits may be too many for a USB port, 16 not
+                if "No space left" not in str(error) or sample == fits[-1][0]:
+                    raise
+        info = stream.info()  # what it cannot set it leaves as it is
+        got = info["format"], info["channels"], info["rate"]
+        if got != (sample, count, self.rate_hz):
             stream.close()
-        else:
-            raise CardAbsent(f"{self.name} has no format of whole numbers")
-        wrong = f"has {info['channels']} channels, not {channels}" if info["channels"] < channels else ""
-        if info["rate"] != self.rate_hz:
-            wrong = f"takes {info['rate']} samples a second, not {self.rate_hz}: set another audio.sample_rate_hz"
-        if wrong:
-            stream.close()
-            raise CardAbsent(f"{self.name} {wrong}")
+            raise CardAbsent(f"{self.name} takes {got[2]} samples a second and {got[1]} channels, not as it said")
         return stream
 
 
-def _check_opens(name: str, kind: int) -> None:
-    """Raise CardAbsent unless a stream opens: where none does, pyalsaaudio leaks, and a card may be away for weeks."""
-    stream = ctypes.c_void_p()
+def _fit(name: str, kind: int, rate_hz: int, channels: int) -> list[tuple[int, int]]:
+    """Return the formats that a card takes at a sample rate, each with its fewest channels from so many on.
+
+    A card has the numbers of channels of its modes alone, such as 10 and 18, each at some rates. pyalsaaudio asks for
+    one number and takes the least if there is no such mode; it leaks where no stream opens, and a card may be away for
+    weeks. Raises CardAbsent, and says what the card takes instead.
+    """
+    stream, params, found, most = ctypes.c_void_p(), ctypes.c_void_p(), ctypes.c_uint(), 0
     error = _LIBRARY.snd_pcm_open(ctypes.byref(stream), os.fsencode(name), kind, alsaaudio.PCM_NONBLOCK)
     if error < 0:
-        raise CardAbsent(_explain(os.strerror(-error), name))
-    _LIBRARY.snd_pcm_close(stream)
+        raise CardAbsent(_explain(os.strerror(-error), name, opening=True))
+
+    def takes(sample: int, at_hz: int) -> bool:
+        """Narrow all settings to a format and a rate; return whether any are left."""
+        return bool(
+            _LIBRARY.snd_pcm_hw_params_any(stream, params) >= 0
+            and _LIBRARY.snd_pcm_hw_params_set_format(stream, params, sample) >= 0
+            and _LIBRARY.snd_pcm_hw_params_set_rate(stream, params, at_hz, 0) >= 0
+        )
+
+    fits = []
+    try:
+        _LIBRARY.snd_pcm_hw_params_malloc(ctypes.byref(params))
+        for sample in _BYTES:
+            if takes(sample, rate_hz):
+                found.value = channels
+                if _LIBRARY.snd_pcm_hw_params_set_channels_min(stream, params, ctypes.byref(found)) >= 0:
+                    _LIBRARY.snd_pcm_hw_params_get_channels_min(params, ctypes.byref(found))
+                    fits.append((sample, found.value))
+                    continue
+                _LIBRARY.snd_pcm_hw_params_get_channels_max(params, ctypes.byref(found))
+                most = max(most, found.value)
+        if fits:
+            return fits
+        rates = [str(at_hz) for at_hz in LOWER_RATES_HZ if any(takes(sample, at_hz) for sample in _BYTES)]
+    finally:
+        _LIBRARY.snd_pcm_hw_params_free(params)
+        _LIBRARY.snd_pcm_close(stream)
+    if most:
+        raise CardAbsent(f"{name} has {most} channels at {rate_hz} samples a second, not {channels}")
+    if not rates:
+        raise CardAbsent(f"{name} has no format of whole numbers: write plughw: for hw:, which converts")
+    raise CardAbsent(
+        f"{name} takes {', '.join(rates)} samples a second, not {rate_hz}: set another audio.sample_rate_hz, and "
+        "audio.band_hz below half of it"
+    )
 
 
 def _upper(data: bytes, length: int, channels: int, width: int) -> Samples:
@@ -176,17 +215,21 @@ def _pack(loop: Floats, channels: int, width: int) -> bytes:
     return np.repeat(octets[:, None, :], channels, axis=1).tobytes()
 
 
-def _explain(text: str, name: str) -> str:
-    """Return what ALSA says, with what it means."""
+def _explain(text: str, name: str, *, opening: bool = False) -> str:
+    """Return what ALSA says, of a card that it is `opening` or has open, with what it means."""
     if "busy" in text:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
+    if "No such device or address" in text and not opening:  # so the kernel's driver says it
+        return f"{name} has no valid clock: set its clock to internal, or connect what it is to follow"
+    if "No space left" in text:  # of the bus, not of a disk
+        return f"{name} gets too little of its USB port: use another one, no hub, or a lower audio.sample_rate_hz"
     named = re.search(r"CARD=([^,]+)", name)
     # There, but not for this user.
     hidden = "No such" in text and named and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()
     if hidden or "Permission denied" in text:
         return f"{name} is there, but may not be opened: join the group audio; a service needs audio.conf"
     # No such file, or device; a number that no card has, for ALSA knows 32, is an invalid argument.
-    if "No such" in text or ("Invalid argument" in text and re.match(r"(plug)?hw:", name)):
+    if "No such" in text or (opening and "Invalid argument" in text and re.match(r"(plug)?hw:", name)):
         there = ", ".join(f"hw:CARD={card}" for card in _cards())
         return f"there is no {name}: plug it in" + (
             f", or name a card that is there: {there}" if there else "; no card is"

@@ -82,6 +82,11 @@ class Capture:
         self._held: Samples = np.zeros((len(self._inputs), 0), np.int16)
         self._first = self._next = 0  # of the first sample held, of the next cut
 
+    @property
+    def passed(self) -> int:
+        """Samples from the start to the next cut."""
+        return self._next
+
     def skip(self, samples: int, *, whole_periods: bool) -> None:
         """Move the next cut; by whole periods it keeps its place in the period."""
         self._next += -(-samples // self._period) * self._period if whole_periods else samples

@@ -6,6 +6,7 @@ from, or the first sound that arrives, to some 50 microseconds.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import permutations
 from typing import NamedTuple
 
@@ -34,7 +35,7 @@ _BY_CHANCE = 0.25
 _PARTS = 16  # of the chirp's band, for a stretch
 _LEAD = 0.1  # of a period: how early an answer may come, in steady state
 _PLATE = (
-    "nothing is heard: check the output's cable and knob, the discs' cables, and audio.level_dbfs",
+    "nothing is heard: check the output's cable, knob and mute (alsamixer), the discs' cables, and audio.level_dbfs",
     "what is heard is not the plate that the model was made for (that explains {:.0%}): check the cables; is another "
     "program playing? Else stop touchd, and calibrate again with --audio",
 )
@@ -84,7 +85,7 @@ class Delay(NamedTuple):
 
 def by_loopback(captured: Floats, loop: Floats) -> Delay:
     """Return the delay of a cable's signal, (period,), by the loop that was played; the cable may invert it."""
-    upright, inverted = _explained(np.stack([captured, -captured]), loop[None]).max(axis=(1, 2))
+    upright, inverted = explained(np.stack([captured, -captured]), loop[None]).max(axis=(1, 2))
     return _find(captured[None] * (1 if upright >= inverted else -1), loop[None], None, _CABLE)
 
 
@@ -92,18 +93,24 @@ def check_discs(captured: Floats, reference: Floats | None) -> None:
     """Raise Doubtful if no disc is heard, or if cables are swapped since the reference; shapes as in `by_reference`."""
     _check_heard(captured, _PLATE[0])
     if reference is not None:
-        _check_order(_explained(captured, _whole(reference, captured.shape[1])), float(np.square(captured).sum()))
+        _check_order(explained(captured, _whole(reference, captured.shape[1])), float(np.square(captured).sum()))
 
 
 def by_reference(captured: Floats, reference: Floats, chirp: Chirp, rate_hz: float) -> Delay:
     """Return the delay of the plate's response by that which the model was made from.
 
     `captured`, (channels, period), is the mean of some periods, ADC counts; `reference`, (channels, samples), has the
-    chirp's start at sample 0. Gains and the plate's temperature may be others.
+    chirp's start at sample 0. Gains and the plate's temperature may be others, and all channels inverted.
 
     Raises Doubtful if nothing is heard, the plate is another, channels are swapped, or two delays fit as well.
     """
-    return _find(captured, reference, _Emission(chirp, rate_hz, captured.shape[1]), _PLATE)
+    emission = _Emission(chirp, rate_hz, captured.shape[1])
+    try:
+        return _find(captured, reference, emission, _PLATE)
+    except Doubtful as doubt:
+        with suppress(Doubtful):
+            return _find(-captured, reference, emission, _PLATE)
+        raise doubt from None
 
 
 def by_onset(captured: Floats, loop: Floats) -> Delay:
@@ -130,7 +137,7 @@ def _find(captured: Floats, reference: Floats, emission: _Emission | None, wrong
     _check_heard(captured, wrong[0])
     channels, period = captured.shape
     known = _whole(reference, period)
-    table = _explained(captured, known)
+    table = explained(captured, known)
     own = table[range(channels), range(channels)].sum(axis=0)
     at = int(np.argmax(own))
     _check_order(table, float(np.square(captured).sum()))
@@ -138,7 +145,7 @@ def _find(captured: Floats, reference: Floats, emission: _Emission | None, wrong
     if share < GOOD:
         raise Doubtful(wrong[1].format(share))
     # Beyond the main lobe, whose width is that of the reference's own correlation.
-    itself = _explained(known, known)[range(channels), range(channels)].sum(axis=0)
+    itself = explained(known, known)[range(channels), range(channels)].sum(axis=0)
     apart = int(np.argmax(itself < 0.5 * itself[0]))
     others = slice(apart, len(own) - apart + 1)
     rival = np.roll(own, -at)[others].max(initial=0.0) / own[at]
@@ -149,7 +156,7 @@ def _find(captured: Floats, reference: Floats, emission: _Emission | None, wrong
     return Delay(samples % period, share, alike)
 
 
-def _explained(captured: Floats, known: Floats) -> Floats:
+def explained(captured: Floats, known: Floats) -> Floats:
     """Return the energy of captured channel i that known channel j explains at each delay, shape (i, j, delays)."""
     spectra, conjugates = np.fft.rfft(captured), np.conj(np.fft.rfft(known))
     period = captured.shape[1]

@@ -150,6 +150,11 @@ class Walk:
         self._go(max(self.next - 1, 0))
         self._done.pop(self.next, None)
 
+    def restart(self) -> None:
+        """Begin the act in hand again and relearn the plate: the device was away."""
+        self._pipeline.reset()
+        self._go(self.next)
+
     def count(self, name: str) -> tuple[int, int]:
         """Return how many acts of a name are complete, and how many there are."""
         return sum(task.name == name for task, *_ in self._done.values()), sum(t.name == name for t in self.tasks)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from touchd.calibration.plan import Plan
     from touchd.calibration.plate_file import PlateFile
     from touchd.config.rigs import AudioSettings
+
+_WIDTH = 107  # of a row's text: 120 with its name
 
 
 @click.command()
@@ -138,7 +141,7 @@ def text(found: Checked, plan: Plan | None = None) -> list[str]:
         median, p95, worst = plan.quantiles_mm
         rows["plate"] = (
             f"noise moves a fingertip by {median:.2g} mm, at most {p95:.2g} at 95 % of the places and {worst:.2g} at "
-            f"the\nworst; what a calibration does not know of the plate, by some {plan.exact_mm:.2f} mm"
+            f"the worst; what a calibration does not know of the plate, by some {plan.exact_mm:.2f} mm"
         )
     low_hz, high_hz = found.band_hz
     rows["use"] = (
@@ -148,20 +151,25 @@ def text(found: Checked, plan: Plan | None = None) -> list[str]:
     remedies = _remedies(found)
     lines = []
     for name, row in rows.items():
-        for at, line in enumerate(row.split("\n")):
+        whole = [line for part in row.split("\n") for line in wrap(part, _WIDTH) or [part]]
+        for at, line in enumerate(whole):
             lines.append(f"{'' if at else name:12} {line}")
         if name in remedies:
-            lines.append(f"{'':12} -> {remedies[name]}")
+            lines += [f"{'':12} {line}" for line in wrap(f"-> {remedies[name]}", _WIDTH)]
     return lines
 
 
 def _remedies(found: Checked) -> dict[str, str]:
     """Return by row what to do about what will not do."""
-    from touchd.audio.check import GOOD_DB, LOW_DISTORTION_DB, MOST_OFF
+    from touchd.audio.check import GOOD_DB, LEVELS_DBFS, LOW_DISTORTION_DB, MOST_ECHO_DB, MOST_OFF, MOST_SPREAD_DB
 
     off = abs(found.true_rate_hz / found.sample_rate_hz - 1) > MOST_OFF
-    clean = any(db is not None and db < LOW_DISTORTION_DB for db in found.distortion_db.values())
     wrong = {
+        "cable": (
+            found.gain_spread_db > MOST_SPREAD_DB,
+            f"the gain changes by {found.gain_spread_db:.1f} dB with the level: switch automatic gain off, and let the "
+            "knobs be",
+        ),
         "sample rate": (
             bool(found.resamples) or off,
             found.resamples or "the card takes other samples than it says: set another audio.sample_rate_hz",
@@ -170,7 +178,20 @@ def _remedies(found: Checked) -> dict[str, str]:
             found.snr_db < GOOD_DB,
             f"{GOOD_DB:.0f} dB are wanted: turn the output up, or the input's gain; switch its pad off",
         ),
-        "distortion": (not clean, f"below {LOW_DISTORTION_DB:.0f} dB is wanted: turn the input's gain down"),
+        "crosstalk": (
+            bool(found.mixed),
+            f"the output is mixed to input {', '.join(map(str, found.mixed))}, too: switch that off in the interface's "
+            "mixer, and take other cables off",
+        ),
+        "distortion": (
+            found.level_dbfs < LEVELS_DBFS[-2],
+            f"below {LOW_DISTORTION_DB:.0f} dB is wanted at {LEVELS_DBFS[-2]:g} dBFS: turn the input's gain down, and "
+            "switch a limiter off",
+        ),
+        "delay": (
+            found.echo_db > MOST_ECHO_DB,
+            f"heard again {1e3 * found.echo_s:.1f} ms later, at {found.echo_db:.0f} dB: switch direct monitoring off",
+        ),
         "xruns": (found.xruns > 0, "end other programs; see Real time in docs/integrator.md"),
     }
     return {name: remedy for name, (is_wrong, remedy) in wrong.items() if is_wrong}

@@ -6,7 +6,7 @@ import os
 import select
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
 from threading import Event
@@ -20,7 +20,7 @@ from touchd.cli.output import say
 from touchd.config.load import load
 from touchd.errors import ConfigError, OutputError, SourceError
 from touchd.frame import Frame, Plate, parse_plate
-from touchd.recording.data import Device, Meta
+from touchd.recording.data import Device, Meta, Recording
 from touchd.service.frame_feed import DaemonSource, open_running, rate_of
 from touchd.service.runner import frames_of
 from touchd.service.signals import stopping
@@ -30,6 +30,7 @@ from touchd.sources.source import Change, Source
 
 _TIMEOUT_S = 0.2
 """A signal takes effect within this time while no frame arrives."""
+REPEAT = "r"
 BY_HAND = (
     "PLATE.toml, and how you measured",
     "the pane: kind of glass or metal, laminated or not, what holds its edges",
@@ -164,11 +165,18 @@ def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes:
     return describe_source(source, plate, rate_hz, kind, notes)
 
 
-def until(stop: Event, source: Source) -> Iterator[Frame | None]:
-    """Yield a source's frames until a signal; report what becomes of the device."""
+def until(stop: Event, source: Source, on_return: Callable[[], object] = str) -> Iterator[Frame | None]:
+    """Yield a source's frames until a signal; report what becomes of the device, call `on_return` if it was away."""
+    away = False
 
     def report(change: Change) -> None:
-        say(f"device {change.state}: {change.reason}", err=True)
+        nonlocal away
+        say(f"device {change.state}: {change.reason}".removesuffix(": "), err=True)
+        if change.state == "lost":
+            away = True
+        elif change.state == "streaming" and away:
+            away = False
+            on_return()
 
     for frame in frames_of(source, _TIMEOUT_S, on_change=report):
         yield frame
@@ -185,30 +193,49 @@ def walk_through(source: Source, output: Path, meta: Meta) -> None:
     except (OSError, ValueError, AttributeError):
         lines = Lines(None)  # no terminal, nor a file in its place
     say(f"recording to {output}: it can reveal a PIN, so type none; only you can read it")
-    say("Enter leaves a touch out, r and Enter repeats the one before, Ctrl-C ends and saves")
+    say(f"Enter leaves a touch out, {REPEAT} and Enter repeats the one before, Ctrl-C ends and saves")
     with stopping() as stop:
         try:
             asked = None
-            for frame in until(stop, source):
+            for frame in until(stop, source, walk.restart):
                 if asked != walk.asked:
                     asked = walk.asked
                     say(f"{walk.next + 1} of {len(walk.tasks)}: {walk.tasks[walk.next].text}")
                 if frame is not None and (said := walk.feed(frame)):
                     say(said)
                 if (line := lines.take()) is not None:
-                    walk.repeat() if line == "r" else walk.skip()
+                    if line.casefold() not in (REPEAT, ""):
+                        say(f"Enter alone leaves this touch out, {REPEAT} and Enter repeats the one before")
+                        continue
+                    walk.repeat() if line else walk.skip()
                 if walk.next == len(walk.tasks):
                     break
         finally:  # save what is complete before a failure, too
             # The plate is told in public, the device's number need not be.
             found = walk.recording(meta.model_copy(update={"device": Device(firmware=meta.device.firmware)}))
             if found is not None:
-                saved = write_beside(output, found)
+                saved = _save(output, found, lines, stop)
                 say(f"{saved}: {len(found.frames)} frames of {len(found.meta.acts)} acts saved")
                 say(checklist(walk))
     if found is None:
         raise SourceError("no act is complete, nothing is saved", fix="begin with ten seconds without a touch")
     _refuse_other(output, saved)
+
+
+def _save(output: Path, found: Recording, lines: Lines, stop: Event) -> Path:
+    """Write a file and return its path; where that fails, ask at the terminal to make room, and write it again."""
+    while True:
+        try:
+            return write_beside(output, found)
+        except OutputError as error:
+            if not lines.open:
+                raise
+            stop.clear()
+            say(str(error), err=True)
+            say("nothing is lost yet: make room, then press Enter to save again; Ctrl-C gives it up")
+            while lines.take() is None:
+                if stop.wait(_TIMEOUT_S) or not lines.open:
+                    raise
 
 
 def checklist(walk: Walk) -> str:
@@ -226,6 +253,11 @@ class Lines:
     def __init__(self, handle: int | None) -> None:
         self._handle = handle
         self._text = b""
+
+    @property
+    def open(self) -> bool:
+        """Whether more may be typed."""
+        return self._handle is not None
 
     def take(self) -> str | None:
         """Return the next line, stripped; None before one came."""

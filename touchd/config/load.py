@@ -184,13 +184,16 @@ def _explained(error: ValidationError, layers: Sequence[_Layer]) -> list[ConfigE
 
 def _explain(kind: str, loc: _Loc, value: Any, message: str, layers: Sequence[_Layer]) -> ConfigError:
     key = ".".join(map(str, loc[:2]))
-    where = next((layer.place(loc) for layer in layers if layer.holds(loc)), key)
+    places = [layer.place(loc) for layer in layers if layer.holds(loc)]
+    where = next(iter(places), key)
     if kind == "extra_forbidden":
         return ConfigError("unknown key" if len(loc) > 1 else "unknown table or key", where, _suggest(loc) or _REMOVE)
     if len(loc) < 2:
         return ConfigError(f"is {_shown(key, value)}, must be a table", where, f"write [{key}], and its keys below it")
     field = section(str(loc[0])).model_fields[str(loc[1])]
     fix = f"correct it, or leave it out for the default, {toml_value(field.default)}"
+    if not places:
+        fix = f"set it: the default, {toml_value(field.default)}, does not fit other settings"
     if kind == "value_error":
         return ConfigError(message.removeprefix("Value error, "), where, fix)
     wanted = expected(field) if len(loc) == 2 else expected_item(field)

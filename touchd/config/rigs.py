@@ -64,7 +64,11 @@ class AudioSettings(Section):
     def _is_a_band(cls, band_hz: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
         highest_hz = info.data.get("sample_rate_hz", 192_000) / 2
         if not 1 <= band_hz[0] < band_hz[1] < highest_hz:
-            raise ValueError(f"must be two frequencies in rising order, below half of the sample rate, {highest_hz:g}")
+            most = f"half of the sample rate, {highest_hz:g}"
+            usual = round(min(20_000.0, 0.32 * highest_hz), -2), round(0.88 * highest_hz, -2)
+            raise ValueError(
+                f"must be two frequencies in rising order, below {most}, such as {usual[0]:g}, {usual[1]:g}"
+            )
         return band_hz
 
     @field_validator("chirp_s")

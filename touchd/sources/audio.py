@@ -8,12 +8,12 @@ this costs are withheld, and counted by reason.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 
 import numpy as np
 import structlog
-from numpy.typing import NDArray
 
 from touchd.audio.capture import Capture, HighPass, Watch, check_band, periods_of, rates_of
 from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Floats, Samples, loop_of, moved
@@ -32,14 +32,19 @@ MEASURED, MEASURED_S = 8, 0.06
 """Periods whose mean tells the delay, at least, and how long they last, at least."""
 SETTLE_S = 0.05
 """Ringing of the plate, and what converters delay, between a change of what is played and the first measured period."""
+DOUBT_S = 0.5
+"""Until then a start is measured again if no delay is certain: converters mute themselves while they start."""
 START_S = 1.0
 """A card that brings no frame for this long after its start will bring none: the delay is found by then."""
+BUS_S = 0.03
+"""How long samples take over a USB bus and through converters at a start, at most: the kernel queues 18 ms of them."""
 STILL_SAMPLES = 5e-4
 """A smaller fraction is left as it is."""
 _MOST_MOVES = 3
 _ALIVE = 0.5
-"""Correlation with the reference above which a channel is watched."""
-_SILENT = 1e-4  # of the loudest channel's energy
+"""Correlation with the reference, and of the periods of a measurement with each other, of a channel that hears."""
+_STEADY = 0.995
+"""The latter of a channel that is watched: of one that is noisier, some frames differ as much as if it were lost."""
 
 log = structlog.get_logger()
 
@@ -68,7 +73,8 @@ def rate_of(acquisition: Acquisition, settings: DeviceSettings) -> int:
 class AudioDaq(Daq):
     """The `Daq` over an open card, which plays until it is closed.
 
-    `reference` is the untouched response that the model was made from, shape (channels, samples).
+    `reference` is the untouched response that the model was made from, shape (channels, samples). Without one, frames
+    keep the delay that they had to the response of an `earlier` connection, where this is the same plate.
     """
 
     def __init__(
@@ -78,16 +84,19 @@ class AudioDaq(Daq):
         acquisition: Acquisition,
         reference: Floats | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
+        earlier: Floats | None = None,
     ) -> None:
         self.acquisition = acquisition
         self.device = Device(serial=card.name)
         self.max_rate_hz = int(acquisition.sample_rate_hz // acquisition.samples)
-        self._card, self._settings, self._reference, self._clock = card, settings, reference, clock
+        self._card, self._settings, self._clock = card, settings, clock
+        self._reference, self._earlier = reference, earlier
+        self._own: Floats | None = None  # the response at the first delay that was found
         self._inputs = np.array([at - 1 for at in (*settings.channels, settings.loopback) if at])
         self._discs = len(settings.channels)
         self._no_counts: Samples = np.zeros(acquisition.shape, np.int16)
-        a = acquisition
-        self._high_pass = HighPass(min(a.chirp.start_hz, a.chirp.stop_hz), a.sample_rate_hz, *a.shape)
+        lowest_hz = min(acquisition.chirp.start_hz, acquisition.chirp.stop_hz)
+        self._high_pass = HighPass(lowest_hz, acquisition.sample_rate_hz, *acquisition.shape)
 
     def start(self, rate_hz: int) -> None:
         """Play and capture; frames come once the delay is found."""
@@ -98,7 +107,7 @@ class AudioDaq(Daq):
         self._nominal = loop_of(a.chirp, a.sample_rate_hz, self._period, self._settings.level_dbfs)
         self._capture = Capture(self._inputs, self._period, chirps, self._high_pass.margin)
         self._fraction = 0.0
-        self._own: Floats | None = None
+        self._earlier, self._own = self.response, None
         self._sequence, self._time_us = 0, 0.0  # of the next frame
         self._last_ns = 0  # when the last frame, or one that is withheld, was complete; 0: unknown
         self._xrun, self._cuts, self._every = False, 0, 1
@@ -110,7 +119,8 @@ class AudioDaq(Daq):
             try:
                 block = self._card.exchange(timeout_s)
             except CardXrun as xrun:
-                log.warning("xrun", why=str(xrun))
+                if not self._xrun:  # a burst is told once
+                    log.warning("xrun", why=str(xrun))
                 self._xrun = True
                 self._restart()
                 return None
@@ -135,6 +145,11 @@ class AudioDaq(Daq):
         """Pass on every n-th frame: the chirps go on, since a response in steady state belongs to their period."""
         self._every = max(1, round(1e6 / (rate_hz * self._period_us)))
 
+    @property
+    def response(self) -> Floats | None:
+        """What the discs of this or an earlier connection heard, shape (channels, samples), by which frames are cut."""
+        return self._earlier if self._own is None else self._own
+
     def close(self) -> None:
         """Release the card; never fails."""
         self._card.close()
@@ -147,24 +162,27 @@ class AudioDaq(Daq):
             raise DaqGone(str(gone)) from gone
         self._capture.reset()
         self._moves = 0
-        self._settle()
+        self._settle(round(BUS_S * self.acquisition.sample_rate_hz))
 
-    def _settle(self) -> None:
-        """Measure the delay in periods that hold nothing of what was played before."""
-        wait = self._card.ahead + round(SETTLE_S * self.acquisition.sample_rate_hz)
-        self._capture.skip(wait, whole_periods=True)
-        self._sum, self._measured = np.zeros((len(self._inputs), self._period)), 0
+    def _settle(self, ahead: int) -> None:
+        """Measure the delay in periods that hold nothing of what was played before, so many samples ahead."""
+        self._capture.skip(ahead + round(SETTLE_S * self.acquisition.sample_rate_hz), whole_periods=True)
+        self._sums, self._measured = np.zeros((2, len(self._inputs), self._period)), 0  # of every other period
         self._aligned, self._needed = False, self._period
 
     def _measure(self) -> None:
         """Add a period to those that tell the delay; the last one does."""
-        self._sum += self._capture.take()
+        self._sums[self._measured % 2] += self._capture.take()
         self._measured += 1
         if self._measured == self._measures:
             try:
-                self._align(self._sum / self._measures)
-            except (CardGone, Doubtful) as why:
-                raise DaqGone(str(why)) from why
+                self._align(self._sums.sum(axis=0) / self._measures)
+            except CardGone as gone:
+                raise DaqGone(str(gone)) from gone
+            except Doubtful as doubt:
+                if self._capture.passed > DOUBT_S * self.acquisition.sample_rate_hz:
+                    raise DaqGone(str(doubt)) from doubt
+                self._settle(0)
 
     def _align(self, mean: Floats) -> None:
         """Cut where the response to a chirp begins, and play the chirp so that it begins with a sample."""
@@ -176,15 +194,16 @@ class AudioDaq(Daq):
             self._moves += 1
             self._fraction += fraction
             self._card.play(moved(self._nominal, -self._fraction))
-            self._settle()
+            self._settle(self._card.ahead)
             return
         log.info("delay found", samples=whole % self._period, explained=round(found.explained, 4))
         if self._own is None:
             self._own = moved(mean[: self._discs], -whole)[:, : self.acquisition.samples]
-            alive = self._alive(found)
-            self._watch = Watch(self._own, alive)
-            if not alive.all():
-                silent = [self._settings.channels[i] for i in np.flatnonzero(~alive)]
+            steady = self._steady()
+            if not self._settings.loopback:
+                steady[np.abs(found.channels) < _ALIVE] = 0
+            self._watch = Watch(self._own, steady > _STEADY)
+            if silent := [self._settings.channels[i] for i in np.flatnonzero(steady < _ALIVE)]:
                 log.warning("inputs hear nothing of the chirp", inputs=silent)
         self._capture.skip(whole, whole_periods=False)
         self._aligned, self._needed = True, self._capture.needed(self.acquisition.samples)
@@ -198,15 +217,16 @@ class AudioDaq(Daq):
             return by_loopback(mean[self._discs], self._nominal)
         if reference is not None:
             return by_reference(discs, reference, a.chirp, a.sample_rate_hz)
+        if self._earlier is not None:
+            with contextlib.suppress(Doubtful):
+                return by_reference(discs, self._earlier, a.chirp, a.sample_rate_hz)
         return by_onset(discs, self._nominal)
 
-    def _alive(self, found: Delay) -> NDArray[np.bool_]:
-        """Return which discs are heard, shape (channels,)."""
-        assert self._own is not None
-        if not self._settings.loopback:
-            return found.channels > _ALIVE
-        energy = np.square(self._own).sum(axis=1)
-        return np.asarray(energy > _SILENT * energy.max())
+    def _steady(self) -> Floats:
+        """Return the correlation of every other period with those between them, shape (channels,)."""
+        even, odd = self._high_pass.around(self._sums[:, : self._discs])
+        energy = np.square(even).sum(axis=1) * np.square(odd).sum(axis=1)
+        return np.asarray((even * odd).sum(axis=1) / np.sqrt(np.maximum(energy, 1e-30)))
 
     def _cut(self) -> DaqFrame:
         """Return the next frame."""
@@ -266,12 +286,15 @@ def open_audio(
     device = settings.device.model_copy(update=changes)
     periods_of(acquisition, device.rate_hz)
     reference = model.atlas.baseline.astype(np.float64) if model is not None and model.atlas is not None else None
+    last: AudioDaq | None = None
 
     def connect() -> Daq:
+        nonlocal last
         try:
             card = opener(name, audio.sample_rate_hz, max(*audio.channels, audio.loopback))
         except CardAbsent as absent:
             raise DaqAbsent(str(absent)) from absent
-        return AudioDaq(card, audio, acquisition, reference, clock)
+        last = AudioDaq(card, audio, acquisition, reference, clock, None if last is None else last.response)
+        return last
 
     return DaqSource(lambda: iter([connect]), device, acquisition, clock=clock, direct=False)

@@ -20,7 +20,7 @@ BUFFER_S = 0.5
 MOST_DELAY = 192
 NOISE = 1 << 16
 AHEAD = 2 * BLOCK
-"""How much is answered before it is needed: the daemon listens 0.15 s after it began to play."""
+"""How much is answered before it is needed: the daemon listens 0.08 s after it began to play."""
 
 
 def stream(kind: int, channels: int, rate_hz: int) -> alsaaudio.PCM:

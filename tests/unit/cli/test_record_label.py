@@ -18,7 +18,7 @@ from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording.data import Act, Device, Recording
 from touchd.recording.format import read, write
 from touchd.sources.recorder import describe
-from touchd.sources.source import EndOfStream, Source
+from touchd.sources.source import Change, EndOfStream, Source
 
 ACQUISITION = Acquisition(channels=2, samples=50, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=300, height_mm=200)
@@ -36,14 +36,26 @@ class Scripted(Source):
         self.happens = happens
         self.number = -1
         self.rng = np.random.default_rng(1)
+        self.news: list[Change] = []
         self.plate, self.finger = 3000 * self.rng.standard_normal((2, *ACQUISITION.shape))
 
     def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the protocol's
+        if self.news:
+            return None
         self.number += 1
         self.happens.get(self.number, lambda: None)()
         touched = self.number > 250 and TAP[0] <= self.number % 250 < TAP[1]
         counts = self.plate + 0.1 * touched * self.finger + 3 * self.rng.standard_normal(ACQUISITION.shape)
         return Frame(counts.astype(np.int16), self.number, self.number * 8_000_000, 0)
+
+    def leave(self) -> None:
+        """Go, and come back with another delay."""
+        self.news = [Change("lost", "there is none: plug it in"), Change("streaming", "")]
+        self.plate = np.roll(self.plate, 7, axis=1)
+
+    def changes(self) -> list[Change]:
+        news, self.news = self.news, []
+        return news
 
     def close(self) -> None:
         pass
@@ -90,6 +102,8 @@ ALL = [("untouched", 0), ("tap", 20), ("tap", 40), ("tap", 60)]
         ({250: "\n"}, [ALL[0], ALL[2], ALL[3]]),
         ({500: "\n\n"}, [ALL[0], ALL[1]]),
         ({500: "r\n"}, ALL),
+        ({500: "R\n"}, ALL),
+        ({500: "back\n"}, ALL),
         ({500: "half a line"}, ALL),
     ],
 )
@@ -104,9 +118,10 @@ def test_typed(
     assert f"[{'x' if taps == 3 else ' '}] tap: {taps} of 3" in capsys.readouterr().out
 
 
-def test_repeated(types: Typist, tmp_path: Path) -> None:
+@pytest.mark.parametrize("typed", ["r\n", "R\n"])
+def test_repeated(types: Typist, tmp_path: Path, typed: str) -> None:
     """Of a touch that is repeated the later frames are kept."""
-    record.walk_through(Scripted({500: types("r\n")}), tmp_path / "a.npz", META)
+    record.walk_through(Scripted({500: types(typed)}), tmp_path / "a.npz", META)
     assert read(tmp_path / "a.npz").sequence[read(tmp_path / "a.npz").meta.acts[1].begin] > 500
 
 
@@ -125,6 +140,61 @@ def test_device_lost(tmp_path: Path) -> None:
     with pytest.raises(DeviceLost):
         record.walk_through(Scripted({660: fail(DeviceLost("gone"))}), tmp_path / "a.npz", META)
     assert names(tmp_path / "a.npz") == ALL[:2]
+
+
+@pytest.mark.usefixtures("types")
+def test_device_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """After a device was away, which may come back with another delay, the act in hand is asked again of a plate that
+    is relearned: nobody takes off for half a minute what does not lie there."""
+    source = Scripted({600: lambda: source.leave()})
+    record.walk_through(source, tmp_path / "a.npz", META)
+    assert names(tmp_path / "a.npz") == ALL
+    assert read(tmp_path / "a.npz").sequence[-1] < 1300
+    said = capsys.readouterr()
+    assert said.out.count("3 of 4") == 2
+    assert "take everything off" not in said.out
+    assert said.err.splitlines() == ["device lost: there is none: plug it in", "device streaming"]
+
+
+def full(monkeypatch: pytest.MonkeyPatch, times: int, happens: Callable[[], object]) -> None:
+    """Let a disk be full so many times."""
+    left = [times]
+
+    def write_beside(path: Path, found: Recording) -> Path:
+        left[0] -= 1
+        if left[0] >= 0:
+            happens()
+            raise OutputError("cannot be written (No space left on device)", str(path), "make room")
+        write(path, found)
+        return path
+
+    monkeypatch.setattr(record, "write_beside", write_beside)
+
+
+def test_full_disk(
+    types: Typist, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten minutes of touches are not lost to a full disk: who makes room and presses Enter has them."""
+    full(monkeypatch, 2, types("\n"))
+    record.walk_through(Scripted({}), tmp_path / "a.npz", META)
+    assert names(tmp_path / "a.npz") == ALL
+    said = capsys.readouterr()
+    assert "No space left" in said.err
+    assert "make room, then press Enter" in said.out
+
+
+@pytest.mark.usefixtures("types")
+def test_full_disk_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C gives it up."""
+
+    def say(text: str, **_: object) -> None:
+        if text.startswith("nothing is lost yet"):
+            signal.raise_signal(signal.SIGINT)
+
+    full(monkeypatch, 99, lambda: None)
+    monkeypatch.setattr(record, "say", say)
+    with pytest.raises(OutputError, match="No space left"):
+        record.walk_through(Scripted({660: lambda: signal.raise_signal(signal.SIGINT)}), tmp_path / "a.npz", META)
 
 
 @pytest.mark.usefixtures("types")

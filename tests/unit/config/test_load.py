@@ -137,6 +137,14 @@ def test_a_mistake_in_the_environment_names_the_variable(
         load()
 
 
+def test_a_default_that_does_not_fit_is_to_be_set(tmp_path: Path) -> None:
+    """A card of 48 kHz cannot have the band that is the default: nobody is told to leave it out, and one is named."""
+    wrong = mistake(toml(tmp_path, "[audio]\nsample_rate_hz = 48000\n"))
+    assert (wrong.where, "set it" in wrong.fix) == ("audio.band_hz", True)
+    assert "such as 7700, 21100" in wrong.what
+    load(toml(tmp_path, "[audio]\nsample_rate_hz = 48000\nband_hz = [7700, 21100]\n"))
+
+
 def test_a_usb_id_is_set_as_it_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHD_DEVICE__VENDOR_ID", "0x1d6b")
     assert load().device.vendor_id == 0x1D6B

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from structlog.testing import capture_logs
 
 from tests.audiocard import FakeCard, answers
 from tests.processes import PATIENCE_S
@@ -183,6 +184,49 @@ def test_an_xrun_is_counted_and_costs_no_accuracy(reference: np.ndarray, modelle
     assert abs(gap_us - 8000 * (len(withheld) + 1)) < 8000
     means = [np.mean([frame.counts for frame in some], axis=0) for some in (before, good)]
     assert off_db(means[1], means[0]) < most_db
+
+
+@pytest.mark.parametrize("loopback", [0, 5])
+def test_an_xrun_while_it_starts_costs_no_second(reference: np.ndarray, loopback: int) -> None:
+    """Just before its first frame, when all that was measured is lost, too."""
+    card = plate(loopback=0.3 if loopback else 0.0)
+    settings = SETTINGS.model_copy(update={"loopback": loopback})
+    daq = started(card, None if loopback else reference, settings)
+    frames(daq, 1)
+    card.xrun = True
+    began_ns = card.clock.ns
+    while (frame := daq.read(0.1)) is None or frame.withheld:
+        card.xrun |= card.starts == 2 and card.clock.ns - began_ns > 320e6
+    assert card.starts == 3
+    assert card.clock.ns - began_ns < 0.7e9
+
+
+def test_a_burst_of_xruns_is_one_line_in_the_log(reference: np.ndarray) -> None:
+    """A computer that is too slow for minutes fills no disk; each period is counted all the same."""
+    card = plate()
+    daq = started(card, reference)
+    frames(daq, 1)
+    with capture_logs() as logs:
+        lost = 0
+        for _ in range(3000):
+            card.xrun |= card.clock.ns % 100_000_000 == 0
+            frame = daq.read(0.1)
+            lost += frame is not None and frame.withheld == "xrun"
+    assert card.starts > 10
+    assert lost > 300
+    assert [line["event"] for line in logs] == ["xrun"]
+
+
+@pytest.mark.parametrize("muted_s", [0.1, 0.3, 0.45])
+@pytest.mark.parametrize("loopback", [0, 5])
+def test_an_output_that_is_silent_at_first(reference: np.ndarray, muted_s: float, loopback: int) -> None:
+    """Converters that mute themselves while they start are waited for, and frames are as of any other card."""
+    card = plate(loopback=0.3 if loopback else 0.0)
+    card.muted_s = muted_s
+    settings = SETTINGS.model_copy(update={"loopback": loopback})
+    daq = started(card, None if loopback else reference, settings)
+    assert off_db(np.mean([frame.counts for frame in frames(daq, 10)], axis=0), EXPECTED) < -50
+    assert card.starts == 1
 
 
 def test_a_process_that_stood_still_knows_for_how_long(reference: np.ndarray) -> None:
@@ -364,6 +408,21 @@ def test_a_gain_knob_ends_nothing(reference: np.ndarray) -> None:
     assert len(frames(daq, 20)) == 20
 
 
+@pytest.mark.parametrize("gains", [(-1, -1, -1, -1), (1, -1, 1, 1)])
+def test_wires_that_are_swapped_since_the_model_was_made(reference: np.ndarray, gains: tuple[int, ...]) -> None:
+    """An emitter, or a receiver, soldered the other way round inverts what is heard: it is heard, and watched."""
+    card = plate()
+    card.gains[:] = gains
+    with capture_logs() as logs:
+        daq = started(card, reference)
+        counts = np.mean([frame.counts for frame in frames(daq, 10)], axis=0)
+    assert off_db(counts * np.array(gains)[:, None], EXPECTED) < -50
+    assert not [line for line in logs if "hear nothing" in line["event"]]
+    card.gains[1] = 0
+    with pytest.raises(DaqGone, match="input 2 no longer hears"):
+        frames(daq, 5)
+
+
 @pytest.mark.parametrize("fault", ["muted", "swapped", "slipped"])
 def test_a_change_while_it_runs_ends_the_connection(reference: np.ndarray, fault: str) -> None:
     """Frames that would show a hand on the plate are none: within three of them the source starts afresh."""
@@ -386,6 +445,50 @@ def test_a_dead_channel_does_not_keep_the_others_from_working(reference: np.ndar
     counts = np.mean([frame.counts for frame in frames(started(card, reference), 10)], axis=0)
     kept = [0, 2, 3]
     assert off_db(counts[kept], EXPECTED[kept]) < -50
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, 100.0])
+@pytest.mark.parametrize("loopback", [0, 5])
+def test_a_dead_channel_of_a_plate_without_a_model(loopback: int, noise: float) -> None:
+    """A disc whose cable is off, in silence or noise, is no reason to start again and again: nothing of it is lost."""
+    rng = np.random.default_rng(0)
+
+    def response(number: int) -> np.ndarray:
+        heard: np.ndarray = UNTOUCHED[number % 40].astype(float)
+        heard[1] = rng.normal(0, noise, len(heard[1]))
+        return heard
+
+    card = FakeCard(ACQUISITION, response, PERIOD, loopback=0.3 if loopback else 0.0)
+    with capture_logs() as logs:
+        assert len(frames(started(card, None, SETTINGS.model_copy(update={"loopback": loopback})), 100)) == 100
+    assert [line["inputs"] for line in logs if "hear nothing" in line["event"]] == [[2]]
+    assert card.starts == 1
+
+
+@pytest.mark.parametrize(("same", "off"), [(True, (-200, -40)), (False, (-10, 20))])
+def test_a_card_that_comes_back_has_its_delay_from_before(same: bool, off: tuple[int, int]) -> None:
+    """A plate without a model or a cable is recorded on: its frames begin where they began before, far more exactly
+    than the first sound tells. Another plate is heard as what it is."""
+    audio = AudioSettings(sample_rate_hz=96_000, band_hz=(15e3, 44e3), chirp_s=1e-3)
+    acquisition = acquisition_of(audio)
+    rng = np.random.default_rng(3)
+    rings = np.exp(-np.arange(96) / 12) * rng.normal(0, 1, (2, 4, 96))
+    chirp = 2**13 * loop_of(acquisition.chirp, 96_000, 96, audio.level_dbfs)
+    plates = np.fft.irfft(np.fft.rfft(rings) * np.fft.rfft(chirp), 96)
+    on = [plates[0]]
+    card = FakeCard(acquisition, lambda _: on[0], 96)
+    source = open_audio(Settings(audio=audio), lambda *_: card.open(), card.name, None, clock=card.clock)
+    means = []
+    with closing(source):
+        for _ in range(2):
+            heard = (frame for frame in until_s(source) if frame is not None)
+            means.append(np.mean([next(heard).counts for _ in range(10)], axis=0))
+            card.unplugged = True
+            change_to(source, "lost")
+            on[0] = plates[0 if same else 1]
+            card.unplugged = False
+            change_to(source, "streaming")
+    assert off[0] < off_db(means[1], means[0]) < off[1]
 
 
 def humming(amplitude: float) -> FakeCard:
