@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -65,16 +66,19 @@ class _Unfailing:
 def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
     """Send all log entries of this process to `stream`, by default standard error.
 
+    A terminal gets colours, unless NO_COLOR (https://no-color.org) is set or TERM is `dumb`.
+
     A level below the one that is set costs a call that does nothing, with a bound logger that was made after this call:
     `structlog.get_logger().bind()`. Code that runs for each frame keeps one.
     """
     stream = stream or sys.stderr
     json = settings.format == "json" or (settings.format == "auto" and not stream.isatty())
+    colours = stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
     render: list[Processor] = (
         [structlog.processors.format_exc_info, structlog.processors.JSONRenderer(default=str)]
         if json
         # The default formatter prints the variables of each function in a traceback: contacts, for one.
-        else [structlog.dev.ConsoleRenderer(colors=stream.isatty(), exception_formatter=structlog.dev.plain_traceback)]
+        else [structlog.dev.ConsoleRenderer(colors=colours, exception_formatter=structlog.dev.plain_traceback)]
     )
     structlog.configure(
         processors=[

@@ -55,6 +55,23 @@ def test_on_a_terminal_it_is_for_people() -> None:
     assert not stream.getvalue().startswith("{")
 
 
+@pytest.mark.parametrize(
+    ("variables", "coloured"),
+    [({}, True), ({"NO_COLOR": "1"}, False), ({"NO_COLOR": ""}, True), ({"TERM": "dumb"}, False)],
+)
+def test_a_terminal_without_colours(variables: dict[str, str], coloured: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal that cannot show colours, or whose user wants none, gets plain text."""
+    for name, value in ({"TERM": "xterm"} | variables).items():
+        monkeypatch.setenv(name, value)
+    if "NO_COLOR" not in variables:
+        monkeypatch.delenv("NO_COLOR", raising=False)
+    stream = Terminal()
+    configure(LogSettings(), stream)
+    structlog.get_logger().info("streaming", rate_hz=125)
+    assert ("\x1b" in stream.getvalue()) == coloured
+    assert "rate_hz" in stream.getvalue()
+
+
 @pytest.mark.parametrize(("form", "json_"), [("console", False), ("json", True)])
 def test_the_form_can_be_chosen(form: str, json_: bool) -> None:
     for stream in (Terminal(), io.StringIO()):
