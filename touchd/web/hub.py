@@ -69,7 +69,7 @@ class Client:
 class Hub:
     """Connects the bus to browsers, by default that of the installed service, or of a touchd on this computer.
 
-    With `shows_keys` it hands out touches in keypad mode, too. Raises BusError if the address cannot be used.
+    With `shows_keys` it hands out touches in keypad mode, too.
     """
 
     def __init__(self, address: str | None = None, *, shows_keys: bool = False) -> None:
@@ -86,16 +86,23 @@ class Hub:
         self._stopped = threading.Event()
         self._threads: list[threading.Thread] = []
         self._spectrum: threading.Event | None = None
-        Subscriber(address, TOPICS).close()  # an address that cannot be used is refused here
+        self._opened: Subscriber[Event] | None = None  # until a thread has it
+
+    def open(self) -> None:
+        """Subscribe; `stop` has to follow. Raises BusError if the address cannot be used."""
+        self._opened = self._subscribe(TOPICS)
 
     def start(self) -> None:
         """Begin to listen; called in the server's loop."""
         self._loop = asyncio.get_running_loop()
-        self._listen(TOPICS, self._stopped)
+        opened, self._opened = self._opened, None
+        self._listen(TOPICS, self._stopped, opened)
 
     def stop(self) -> None:
-        """End all threads."""
+        """End all threads, and what was opened; further calls do nothing."""
         self._stopped.set()
+        if self._opened is not None:
+            self._opened.close()
         if self._spectrum is not None:
             self._spectrum.set()
         for thread in self._threads:
@@ -152,17 +159,22 @@ class Hub:
             self._spectrum = None
             self._last.pop("spectrum", None)
 
-    def _listen(self, topics: tuple[str, ...], stopped: threading.Event) -> None:
+    def _subscribe(self, topics: tuple[str, ...]) -> Subscriber[Event]:
+        return Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True)
+
+    def _listen(
+        self, topics: tuple[str, ...], stopped: threading.Event, opened: Subscriber[Event] | None = None
+    ) -> None:
         self._threads = [thread for thread in self._threads if thread.is_alive()]
-        thread = threading.Thread(target=self._read, args=(topics, stopped), name="bus", daemon=True)
+        thread = threading.Thread(target=self._read, args=(topics, stopped, opened), name="bus", daemon=True)
         self._threads.append(thread)
         thread.start()
 
-    def _read(self, topics: tuple[str, ...], stopped: threading.Event) -> None:
+    def _read(self, topics: tuple[str, ...], stopped: threading.Event, opened: Subscriber[Event] | None) -> None:
         assert self._loop is not None
         hand: Callable[..., object] = self._loop.call_soon_threadsafe
         pace_s = _SPECTRUM_PACE_S if topics == ASKED else _PACE_S
-        events = self._subscribed(topics, stopped)
+        events = opened or self._subscribed(topics, stopped)
         if events is None:
             return
         with events:
@@ -193,7 +205,7 @@ class Hub:
         told = False
         while not stopped.is_set() or not told:
             try:
-                return Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True)
+                return self._subscribe(topics)
             except BusError as error:
                 if not told:
                     log.warning("not listened to, and tried again", topics=topics, error=str(error))

@@ -204,6 +204,38 @@ def test_a_bus_that_is_closed_for_a_moment(monkeypatch: pytest.MonkeyPatch, tmp_
     assert refused.is_set()
 
 
+def test_one_connection(tmp_path: Path) -> None:
+    """A page's server that starts is one subscriber to the daemon, which has nothing to warn of."""
+    address = f"ipc://{tmp_path}/bus"
+
+    async def hear(sink: ZeromqSink) -> None:
+        hub = Hub(address)
+        hub.open()
+        hub.start()
+        while hub.silent_s is None:
+            sink.poll()
+            await asyncio.sleep(0.01)
+        await asyncio.to_thread(hub.stop)
+
+    with capture_logs() as log, closing(ZeromqSink(BusSettings(bind=(address,)))) as sink:
+        sink.publish(health("streaming"), 0)
+        asyncio.run(asyncio.wait_for(hear(sink), 60))
+        sink.poll()
+    assert log == []
+
+
+def test_address_that_cannot_be_used() -> None:
+    """It is refused before the server starts; a hub that never started is closed all the same."""
+    hub = Hub("tcp://nowhere")
+    with pytest.raises(BusError, match="not an address"):
+        hub.open()
+    hub.stop()
+    hub = Hub("ipc:///nowhere")
+    hub.open()
+    hub.stop()
+    hub.stop()
+
+
 def test_most_clients(hub: Hub) -> None:
     """Browsers are few: one more is refused, until one leaves."""
     clients = [joined(hub) for _ in range(MOST_CLIENTS)]
