@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,14 +49,23 @@ def _redact(key: object, value: Any) -> Any:
 
 
 class _Unfailing:
-    """A text stream that drops a line it cannot write: a full disk must not end the daemon."""
+    """A text stream that drops a line it cannot write at once.
+
+    Neither a full disk nor a pipe or terminal that nobody reads may hold the daemon up.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+        self._room: select.poll | None = None
+        with contextlib.suppress(OSError, ValueError):  # it has no descriptor
+            descriptor = stream.fileno()
+            self._room = select.poll()
+            self._room.register(descriptor, select.POLLOUT)
 
     def write(self, text: str) -> int:
         with contextlib.suppress(OSError, ValueError):  # ValueError: the stream was closed
-            self._stream.write(text)
+            if self._room is None or self._room.poll(0):
+                self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
