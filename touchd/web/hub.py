@@ -86,6 +86,8 @@ class Hub:
         self._stopped = threading.Event()
         self._threads: list[threading.Thread] = []
         self._spectrum: threading.Event | None = None
+        self._asked_thread: threading.Thread | None = None  # the last one that listened to it
+        self._again: asyncio.TimerHandle | None = None
         self._opened: Subscriber[Event] | None = None  # until a thread has it
 
     def open(self) -> None:
@@ -149,26 +151,38 @@ class Hub:
         return topic not in PRIVATE or self.keypad is False or (self.keypad is True and self.shows_keys)
 
     def _follow_asked(self) -> None:
-        """Listen to the spectrum while a browser wants it."""
+        """Listen to the spectrum while a browser wants it, by one thread at a time: each takes descriptors."""
         wanted = any("spectrum" in client.asked for client in self._clients)
-        if wanted and self._spectrum is None:
-            self._spectrum = threading.Event()
-            self._listen(ASKED, self._spectrum)
-        elif not wanted and self._spectrum is not None:
+        if not wanted and self._spectrum is not None:
             self._spectrum.set()
             self._spectrum = None
             self._last.pop("spectrum", None)
+        elif wanted and self._spectrum is None and not self._stopped.is_set():
+            if self._asked_thread is not None and self._asked_thread.is_alive():
+                self._follow_later()
+                return
+            self._spectrum = threading.Event()
+            self._asked_thread = self._listen(ASKED, self._spectrum)
+
+    def _follow_later(self) -> None:
+        def follow() -> None:
+            self._again = None
+            self._follow_asked()
+
+        if self._again is None and self._loop is not None:
+            self._again = self._loop.call_later(_WAIT_S, follow)
 
     def _subscribe(self, topics: tuple[str, ...]) -> Subscriber[Event]:
         return Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True)
 
     def _listen(
         self, topics: tuple[str, ...], stopped: threading.Event, opened: Subscriber[Event] | None = None
-    ) -> None:
+    ) -> threading.Thread:
         self._threads = [thread for thread in self._threads if thread.is_alive()]
         thread = threading.Thread(target=self._read, args=(topics, stopped, opened), name="bus", daemon=True)
         self._threads.append(thread)
         thread.start()
+        return thread
 
     def _read(self, topics: tuple[str, ...], stopped: threading.Event, opened: Subscriber[Event] | None) -> None:
         assert self._loop is not None

@@ -179,6 +179,32 @@ def test_a_bus_that_closes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [line["event"] for line in log] == ["not listened to, and tried again"]
 
 
+def test_a_page_that_cannot_decide(tmp_path: Path) -> None:
+    """However often a page asks for the spectrum, one thread listens to it, and in the end as the page wants."""
+
+    async def ask() -> list[int]:
+        hub = Hub(f"ipc://{tmp_path}/bus")
+        hub.start()
+        page, listening = joined(hub), []
+        for number in range(101):
+            hub.ask(page, frozenset({"spectrum"} if number % 2 == 0 else ()))
+            listening.append(sum(thread.name == "bus" for thread in threading.enumerate()))
+            await asyncio.sleep(0)
+        with closing(ZeromqSink(BusSettings(bind=(f"ipc://{tmp_path}/bus",)))) as sink:
+            while not sink.wants("spectrum"):
+                sink.poll()
+                await asyncio.sleep(0.01)
+            hub.ask(page, frozenset())
+            while sink.wants("spectrum"):
+                sink.poll()
+                await asyncio.sleep(0.01)
+        await asyncio.to_thread(hub.stop)
+        return listening
+
+    before = sum(thread.name == "bus" for thread in threading.enumerate())
+    assert max(asyncio.run(asyncio.wait_for(ask(), 60))) <= before + 2
+
+
 def test_a_bus_that_is_closed_for_a_moment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A page's server that comes while the daemon makes its socket hears the daemon all the same."""
     address, really, refused = f"ipc://{tmp_path}/bus", Subscriber, threading.Event()
