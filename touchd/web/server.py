@@ -50,7 +50,7 @@ _MOST_CONNECTIONS = 256
 _BACKLOG = 128
 """Connections that the kernel holds: asyncio tries as many in a row, where no descriptor is left, too."""
 _REQUEST_NS = 10_000_000_000
-"""A connection without a whole request for so long is closed: a hundred of them would lock everybody out."""
+"""A connection that stands still for so long is closed: a hundred of them would lock everybody out."""
 
 
 def bind(address: str) -> socket.socket:
@@ -137,17 +137,22 @@ def make_app(site: Site) -> Starlette:
 
 
 def _close_waiting(connections: Iterable[Any], since_ns: dict[Any, int], now_ns: int) -> dict[Any, int]:
-    """Close connections on which no whole request has arrived for too long; return since when each waits.
+    """Close connections that stand still for too long; return since when each does.
 
-    WebSockets are others. A connection has no `cycle` before its first request. The next request's head makes another
-    `cycle`, and the time for its body begins with it.
+    No whole request has arrived on such a one, or its browser takes nothing of the answer. WebSockets are others. A
+    connection has no `cycle` before its first request. The next request's head makes another `cycle`, and the time for
+    its body begins with it.
     """
-    http = [one for one in connections if isinstance(one, H11Protocol)]
-    waiting = [one for one in http if one.cycle is None or one.cycle.response_complete or one.cycle.more_body]
-    found = {(one, one.cycle): since_ns.get((one, one.cycle), now_ns) for one in waiting}
-    for (one, _), waits_ns in found.items():
-        if now_ns - waits_ns > _REQUEST_NS:
-            one.transport.close()
+    found: dict[Any, int] = {}
+    for one in connections:
+        if not isinstance(one, H11Protocol):
+            continue
+        cycle = one.cycle
+        if cycle is None or cycle.response_complete or cycle.more_body or one.flow.write_paused:
+            state = one, cycle, one.transport.get_write_buffer_size()
+            found[state] = since_ns.get(state, now_ns)
+            if now_ns - found[state] > _REQUEST_NS:
+                one.transport.abort()  # to close would wait until the answer is taken
     return found
 
 
