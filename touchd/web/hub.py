@@ -20,6 +20,7 @@ import structlog
 from touchd.client import Subscriber
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Event, HealthEvent, PlateEvent, TouchEvent, encode
+from touchd.sinks.throttle import Throttle
 
 TOPICS = ("touch", "health", "plate", "truth")
 """What every browser gets."""
@@ -86,6 +87,7 @@ class Hub:
         self._stopped = threading.Event()
         self._threads: list[threading.Thread] = []
         self._spectrum: threading.Event | None = None
+        self._odd = Throttle("not understood")
         self._asked_thread: threading.Thread | None = None  # the last one that listened to it
         self._again: asyncio.TimerHandle | None = None
         self._opened: Subscriber[Event] | None = None  # until a thread has it
@@ -202,7 +204,7 @@ class Hub:
                 except BusTimeout:
                     pass
                 except BusError as error:
-                    log.warning("not understood", error=str(error))
+                    self._odd.warn(error=str(error))
                     stopped.wait(_AGAIN_S)
                 try:
                     hand(self._take, newest)

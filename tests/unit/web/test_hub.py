@@ -161,6 +161,31 @@ def test_a_lift_is_no_sign_of_life(hub: Hub) -> None:
     assert hub.heard_s == heard_s
 
 
+def test_a_daemon_that_is_newer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages that are not understood are said to be so, and do not fill the log for as long as they come."""
+    monkeypatch.setattr("touchd.web.hub._AGAIN_S", 0.0)
+    monkeypatch.setattr("touchd.sinks.throttle.PERIOD_S", 60.0)
+
+    async def hear() -> None:
+        hub = Hub(f"ipc://{tmp_path}/bus")
+        with zmq.Context() as context, context.socket(zmq.XPUB) as daemon:
+            daemon.bind(f"ipc://{tmp_path}/bus")
+            hub.start()
+            for _ in TOPICS:
+                await asyncio.to_thread(daemon.recv)
+            for _ in range(10):
+                daemon.send_multipart([b"health", b'{"v":2}'])
+            daemon.send_multipart([b"health", encode(health("streaming"))])
+            while hub.silent_s is None:
+                await asyncio.sleep(0.01)
+            await asyncio.to_thread(hub.stop)
+
+    with capture_logs() as log:
+        asyncio.run(asyncio.wait_for(hear(), 60))
+    (line,) = log
+    assert "of version 2" in line["error"]
+
+
 def test_a_bus_that_closes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of an address that can be used no more the log says why, without a traceback."""
 
