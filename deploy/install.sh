@@ -35,7 +35,7 @@ uninstall() {
         # shellcheck disable=SC2086 # a list of words is meant
         systemctl disable --now --quiet $services touchd-mapping.path 2>/dev/null || true
     fi
-    rm -rf "$root$prefix"
+    rm -rf "$root$prefix" "$root$prefix.new" "$root$prefix.old"
     for service in $services $helpers; do rm -f "$units/$service"; done
     rm -f "$rules" "$sysusers" "$tmpfiles" "$link"
     if [ "$1" = purge ]; then
@@ -75,8 +75,11 @@ install_all() {
     sed "s#/usr/bin/touchd#$prefix/bin/touchd#" deploy/audio.conf > "$examples/audio.conf"
     cp deploy/realtime.conf "$examples"
     chmod -R go+rX "$new"
-    rm -rf "$root$prefix"
+    # To remove the old one takes its time: a power cut meanwhile leaves the new one.
+    rm -rf "$root$prefix.old"
+    [ ! -e "$root$prefix" ] || mv -T "$root$prefix" "$root$prefix.old"
     mv -T "$new" "$root$prefix"
+    rm -rf "$root$prefix.old"
 
     install -d "$units" "$(dirname "$rules")" "$(dirname "$sysusers")" "$(dirname "$tmpfiles")" \
         "$(dirname "$link")" "$(dirname "$config")"
@@ -128,6 +131,10 @@ while [ $# -gt 0 ]; do
     esac
     shift
 done
+# Two at once would build in one folder. The lock ends with this process and leaves no file.
+install -d "$root${prefix%/*}"
+exec 9< "$root${prefix%/*}"
+flock --nonblock 9 || fail "another install.sh is at work: wait for its end"
 if [ "$action" = uninstall ]; then
     uninstall "$purge"
 else

@@ -1,5 +1,6 @@
 """`python -m touchd`, and the console script."""
 
+import io
 import os
 import sys
 
@@ -7,10 +8,15 @@ from touchd.service.signals import hold
 
 
 def open_streams() -> None:
-    """Open standard streams that were closed at the start, on nothing: Python has None for each."""
+    """Open standard streams that were closed at the start, on nothing: Python has None for each.
+
+    Of a character that the locale cannot write, standard output has the escape, as standard error does.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - as long as the process
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def run() -> None:

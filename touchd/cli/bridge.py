@@ -5,10 +5,9 @@ from __future__ import annotations
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-import click
-
 from touchd.bridges.bridge import Output, run
 from touchd.bridges.screen import HoldOff
+from touchd.cli.output import say
 from touchd.service.signals import stopping
 from touchd.service.systemd import Notifier
 
@@ -27,7 +26,7 @@ def serve(address: str | None, settings: InputSettings, output: Output, what: st
             notifier.beat(now_ns)
             return not stop.is_set()
 
-        click.echo(f"touchd: {what} is there", err=True)
+        say(f"touchd: {what} is there", err=True)
         notifier.status(what)
         run(address, output, goes_on)
         notifier.stopping()

@@ -14,6 +14,7 @@ from touchd.bridges.area import Area
 from touchd.bridges.tuio import Tuio
 from touchd.cli.bridge import serve
 from touchd.cli.options import bus_option, config_option
+from touchd.cli.output import say
 from touchd.config.apart import load_apart
 from touchd.errors import BridgeError, ConfigError, InsecureBind
 
@@ -33,7 +34,7 @@ def command(to: str | None, address: str | None, config: Path | None) -> None:
     found = load_apart(config, overrides)
     area = Area(found.input)
     where = destination(found.tuio.to, insecure=found.tuio.insecure)
-    output = Tuio(area, where, found.device.name, time.monotonic_ns(), partial(click.echo, err=True))
+    output = Tuio(area, where, found.device.name, time.monotonic_ns(), partial(say, err=True))
     serve(address, found.input, output, f"TUIO to {found.tuio.to}")
 
 

@@ -58,10 +58,15 @@ def command(
         host, port = listening.getsockname()[:2]
         shown = f"[{host}]" if ":" in host else host
         access = Access(port, origins, watched=bool(keypad or origins or replay))
+        hub = Hub(address, shows_keys=keypad)
         site = Site(
-            access, Hub(address, shows_keys=keypad), config=config, address=address,
+            access, hub, config=config, address=address,
             screen_mm=tuple(found.input.screen_mm), replay=replay, wizard=wizard or default_socket(),
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
         debug = bool((above or {}).get("debug"))
-        serve(site, listening, lambda: say(f"touchd: open {url}"), manager, debug=debug)
+        try:
+            hub.open()
+            serve(site, listening, lambda: say(f"touchd: open {url}"), manager, debug=debug)
+        finally:
+            hub.stop()

@@ -140,8 +140,11 @@ def _environment(problems: list[ConfigError]) -> dict[str, Any]:
         if upper in tables:
             problems.append(ConfigError("names a whole table", where, f"name one of its keys: {upper}__KEY"))
         elif upper not in (*known, *gone):
-            near = _nearest(upper, [*known, *NOT_SETTINGS])
-            problems.append(ConfigError("unknown variable", where, f"did you mean {near}?" if near else _REMOVE))
+            # Without the prefix, which makes all of them alike.
+            names = [one.removeprefix(_PREFIX) for one in (*known, *NOT_SETTINGS)]
+            near = _nearest(upper.removeprefix(_PREFIX), names)
+            fix = f"did you mean {_PREFIX}{near}?" if near else _REMOVE
+            problems.append(ConfigError("unknown variable", where, fix))
         elif any("\ud800" <= character <= "\udfff" for character in value):
             problems.append(ConfigError("is not UTF-8", where, "set it again"))
         else:

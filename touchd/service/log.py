@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import select
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -47,14 +49,23 @@ def _redact(key: object, value: Any) -> Any:
 
 
 class _Unfailing:
-    """A text stream that drops a line it cannot write: a full disk must not end the daemon."""
+    """A text stream that drops a line it cannot write at once.
+
+    Neither a full disk nor a pipe or terminal that nobody reads may hold the daemon up.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+        self._room: select.poll | None = None
+        with contextlib.suppress(OSError, ValueError):  # it has no descriptor
+            descriptor = stream.fileno()
+            self._room = select.poll()
+            self._room.register(descriptor, select.POLLOUT)
 
     def write(self, text: str) -> int:
         with contextlib.suppress(OSError, ValueError):  # ValueError: the stream was closed
-            self._stream.write(text)
+            if self._room is None or self._room.poll(0):
+                self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
@@ -65,16 +76,19 @@ class _Unfailing:
 def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
     """Send all log entries of this process to `stream`, by default standard error.
 
+    A terminal gets colours, unless NO_COLOR (https://no-color.org) is set or TERM is `dumb`.
+
     A level below the one that is set costs a call that does nothing, with a bound logger that was made after this call:
     `structlog.get_logger().bind()`. Code that runs for each frame keeps one.
     """
     stream = stream or sys.stderr
     json = settings.format == "json" or (settings.format == "auto" and not stream.isatty())
+    colours = stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
     render: list[Processor] = (
         [structlog.processors.format_exc_info, structlog.processors.JSONRenderer(default=str)]
         if json
         # The default formatter prints the variables of each function in a traceback: contacts, for one.
-        else [structlog.dev.ConsoleRenderer(colors=stream.isatty(), exception_formatter=structlog.dev.plain_traceback)]
+        else [structlog.dev.ConsoleRenderer(colors=colours, exception_formatter=structlog.dev.plain_traceback)]
     )
     structlog.configure(
         processors=[

@@ -262,7 +262,8 @@ class Service:
 
     def _publish_health(self) -> None:
         now_ns = self._health_ns = self._clock()
-        event = self._health.message(now_ns, self._stream_ns, self._state, self._reason)
+        late_ns = self._seen_ns - self._stream_ns if self._stream_ns else 0
+        event = self._health.message(now_ns, self._stream_ns, self._state, self._reason, late_ns)
         self._hand(event, now_ns)
         self._manager.tell(event)
         self._health.log_losses(event)

@@ -38,6 +38,9 @@ _LATENCIES = 8192
 _STEP_NS = 500_000_000
 """UTC moves against CLOCK_MONOTONIC by more than this if somebody sets the clock, or the computer slept. The bus's
 subscribers tell other clocks by a second."""
+_STALE_NS = 500_000_000
+"""A subscriber drops older touches, unless it asks for another `max_age_s`."""
+_WHY_LATE = "this computer is too slow for its frames, or replays them with a --speed below 1"
 _LOGGED = ("lost", "corrupt", "clipped", "repeated", "frozen", "behind", "emitter_fault", "test_pattern")
 """Counts that are logged when they have grown."""
 
@@ -166,10 +169,11 @@ class Health:
         self._latencies_us[self._sent % _LATENCIES] = latency_us
         self._sent += 1
 
-    def message(self, now_ns: int, stream_ns: int, state: State, reason: str | None) -> HealthEvent:
+    def message(self, now_ns: int, stream_ns: int, state: State, reason: str | None, late_ns: int = 0) -> HealthEvent:
         """Return the health message, and start the next latency window.
 
-        `stream_ns` is the time of the last frame, 0 before the first one; `reason` is that of the state, for a person.
+        `stream_ns` is the time of the last frame, 0 before the first one, which came `late_ns` after it; `reason` is
+        that of the state, for a person.
         """
         pipeline, unheard = self._pipeline, self._messages.unheard
         counters = pipeline.counters
@@ -196,7 +200,7 @@ class Health:
             clock_ppm=round(tally.clock_ppm, 1),
             unheard={topic: count for topic, count in unheard.items() if count},
             model_fit=msgspec.UNSET if (fit := pipeline.model_fit) is None else round(fit, 4),
-            reason=reason or pipeline.detector.fault or self._reason(),
+            reason=reason or pipeline.detector.fault or self._reason(late_ns if state == "streaming" else 0),
         )
 
     def log_losses(self, health: HealthEvent) -> None:
@@ -208,9 +212,11 @@ class Health:
                 log.warning(f"frames {name}", **{name: in_all - before, f"{name}_in_all": in_all})
                 self._logged[name] = in_all
 
-    def _reason(self) -> str | None:
+    def _reason(self, late_ns: int) -> str | None:
         if self._pipeline.model is None:
             return "there is no model at the path in the log: touchd calibrate makes one"
+        if late_ns > _STALE_NS:
+            return f"touches are {late_ns * 1e-9:.1f} s old, and many programs drop them: {_WHY_LATE}"
         return "the screen is off" if self._pipeline.screen_off else None
 
     def _take_latency(self) -> Latency:

@@ -115,7 +115,7 @@ class PreRoll:
         too_soon = self._saved_ns is not None and now_ns - self._saved_ns < self._interval_ns
         if not frames or too_soon or (self._writing is not None and not self._writing.done()):
             empty = "no frames yet" if self._span_ns else "preroll.seconds is 0"
-            why = "the last one was saved just now" if frames else empty
+            why = "the last one was tried just now" if frames else empty
             log.warning("pre-roll not saved", reason=reason, why=why)
             return
         self._saved_ns = now_ns

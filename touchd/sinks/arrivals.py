@@ -86,7 +86,7 @@ class Arrivals:
                     file.look()
 
     def close(self) -> None:
-        """Stop listening. The door is open afterwards: libzmq removes the files by their names."""
+        """Stop listening, and remove the socket files: libzmq leaves them."""
         with suppress(zmq.ZMQError):
             self._publisher.disable_monitor()
         self._thread.join()

@@ -54,8 +54,11 @@ class KeptSocketFile:
         log.warning("somebody has removed the socket's file: it is back", path=str(self._path))
 
     def close(self) -> None:
-        """Remove the second name; further calls do nothing."""
+        """Remove both names, unless another process has taken the first; further calls do nothing."""
         self._kept = False
+        with suppress(OSError):
+            if self._is_there(self._path):
+                self._path.unlink()
         with suppress(OSError):
             self._second.unlink(missing_ok=True)
 

@@ -64,8 +64,10 @@ def _problem(error: Exception) -> str:
     """Return which field is wrong; neither its value nor the error itself, which quotes it: a key press is secret."""
     if not isinstance(error, msgspec.ValidationError):
         return "payload: no JSON"
-    said, _, where = str(error).rpartition(" - at `")
-    expected = re.fullmatch(r"Expected `[a-z |]+`, got `[a-z]+`|Object missing required field `[a-z_]+`", said or where)
+    said, at, where = str(error).rpartition(" - at `")
+    if not at:  # of the whole payload
+        said, where = where, ""
+    expected = re.fullmatch(r"Expected `[a-z |]+`, got `[a-z]+`|Object missing required field `[a-z_]+`", said)
     return f"{where.rstrip('`').removeprefix('$.') or 'payload'}: {expected[0] if expected else 'not as agreed'}"
 
 

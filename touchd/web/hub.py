@@ -20,6 +20,7 @@ import structlog
 from touchd.client import Subscriber
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Event, HealthEvent, PlateEvent, TouchEvent, encode
+from touchd.sinks.throttle import Throttle
 
 TOPICS = ("touch", "health", "plate", "truth")
 """What every browser gets."""
@@ -69,7 +70,7 @@ class Client:
 class Hub:
     """Connects the bus to browsers, by default that of the installed service, or of a touchd on this computer.
 
-    With `shows_keys` it hands out touches in keypad mode, too. Raises BusError if the address cannot be used.
+    With `shows_keys` it hands out touches in keypad mode, too.
     """
 
     def __init__(self, address: str | None = None, *, shows_keys: bool = False) -> None:
@@ -86,16 +87,26 @@ class Hub:
         self._stopped = threading.Event()
         self._threads: list[threading.Thread] = []
         self._spectrum: threading.Event | None = None
-        Subscriber(address, TOPICS).close()  # an address that cannot be used is refused here
+        self._odd = Throttle("not understood")
+        self._asked_thread: threading.Thread | None = None  # the last one that listened to it
+        self._again: asyncio.TimerHandle | None = None
+        self._opened: Subscriber[Event] | None = None  # until a thread has it
+
+    def open(self) -> None:
+        """Subscribe; `stop` has to follow. Raises BusError if the address cannot be used."""
+        self._opened = self._subscribe(TOPICS)
 
     def start(self) -> None:
         """Begin to listen; called in the server's loop."""
         self._loop = asyncio.get_running_loop()
-        self._listen(TOPICS, self._stopped)
+        opened, self._opened = self._opened, None
+        self._listen(TOPICS, self._stopped, opened)
 
     def stop(self) -> None:
-        """End all threads."""
+        """End all threads, and what was opened; further calls do nothing."""
         self._stopped.set()
+        if self._opened is not None:
+            self._opened.close()
         if self._spectrum is not None:
             self._spectrum.set()
         for thread in self._threads:
@@ -142,27 +153,44 @@ class Hub:
         return topic not in PRIVATE or self.keypad is False or (self.keypad is True and self.shows_keys)
 
     def _follow_asked(self) -> None:
-        """Listen to the spectrum while a browser wants it."""
+        """Listen to the spectrum while a browser wants it, by one thread at a time: each takes descriptors."""
         wanted = any("spectrum" in client.asked for client in self._clients)
-        if wanted and self._spectrum is None:
-            self._spectrum = threading.Event()
-            self._listen(ASKED, self._spectrum)
-        elif not wanted and self._spectrum is not None:
+        if not wanted and self._spectrum is not None:
             self._spectrum.set()
             self._spectrum = None
             self._last.pop("spectrum", None)
+        elif wanted and self._spectrum is None and not self._stopped.is_set():
+            if self._asked_thread is not None and self._asked_thread.is_alive():
+                self._follow_later()
+                return
+            self._spectrum = threading.Event()
+            self._asked_thread = self._listen(ASKED, self._spectrum)
 
-    def _listen(self, topics: tuple[str, ...], stopped: threading.Event) -> None:
+    def _follow_later(self) -> None:
+        def follow() -> None:
+            self._again = None
+            self._follow_asked()
+
+        if self._again is None and self._loop is not None:
+            self._again = self._loop.call_later(_WAIT_S, follow)
+
+    def _subscribe(self, topics: tuple[str, ...]) -> Subscriber[Event]:
+        return Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True)
+
+    def _listen(
+        self, topics: tuple[str, ...], stopped: threading.Event, opened: Subscriber[Event] | None = None
+    ) -> threading.Thread:
         self._threads = [thread for thread in self._threads if thread.is_alive()]
-        thread = threading.Thread(target=self._read, args=(topics, stopped), name="bus", daemon=True)
+        thread = threading.Thread(target=self._read, args=(topics, stopped, opened), name="bus", daemon=True)
         self._threads.append(thread)
         thread.start()
+        return thread
 
-    def _read(self, topics: tuple[str, ...], stopped: threading.Event) -> None:
+    def _read(self, topics: tuple[str, ...], stopped: threading.Event, opened: Subscriber[Event] | None) -> None:
         assert self._loop is not None
         hand: Callable[..., object] = self._loop.call_soon_threadsafe
         pace_s = _SPECTRUM_PACE_S if topics == ASKED else _PACE_S
-        events = self._subscribed(topics, stopped)
+        events = opened or self._subscribed(topics, stopped)
         if events is None:
             return
         with events:
@@ -176,7 +204,7 @@ class Hub:
                 except BusTimeout:
                     pass
                 except BusError as error:
-                    log.warning("not understood", error=str(error))
+                    self._odd.warn(error=str(error))
                     stopped.wait(_AGAIN_S)
                 try:
                     hand(self._take, newest)
@@ -193,7 +221,7 @@ class Hub:
         told = False
         while not stopped.is_set() or not told:
             try:
-                return Subscriber(self._address, topics, max_age_s=_NEVER_OLD_S, newest_only=True)
+                return self._subscribe(topics)
             except BusError as error:
                 if not told:
                     log.warning("not listened to, and tried again", topics=topics, error=str(error))

@@ -43,6 +43,7 @@ async def _live(site: Site, socket: WebSocket) -> None:
                 await socket.close(_NOT_UNDERSTOOD)
                 return
             site.hub.ask(client, topics)
+            await asyncio.sleep(PERIOD_S)  # nobody changes views faster
     finally:
         site.hub.leave(client)
         sender.cancel()

@@ -45,8 +45,12 @@ _TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".
 _END_S = 2
 """Open WebSockets may hold up the end for as long."""
 _BEAT_S = 0.25
+_MOST_CONNECTIONS = 256
+"""Of requests on more than half of them uvicorn says 503."""
+_BACKLOG = 128
+"""Connections that the kernel holds: asyncio tries as many in a row, where no descriptor is left, too."""
 _REQUEST_NS = 10_000_000_000
-"""A connection without a whole request for so long is closed: a hundred of them would lock everybody out."""
+"""A connection that stands still for so long is closed: a hundred of them would lock everybody out."""
 
 
 def bind(address: str) -> socket.socket:
@@ -69,7 +73,7 @@ def bind(address: str) -> socket.socket:
         )  # fmt: skip
     family = socket.AF_INET6 if reached.version == 6 else socket.AF_INET
     try:
-        return socket.create_server((host, number), family=family, backlog=64)
+        return socket.create_server((host, number), family=family, backlog=_BACKLOG)
     except OSError as error:
         raise AddressInUse(
             f"cannot be listened at ({os.strerror(error.errno or 0)})",
@@ -133,17 +137,22 @@ def make_app(site: Site) -> Starlette:
 
 
 def _close_waiting(connections: Iterable[Any], since_ns: dict[Any, int], now_ns: int) -> dict[Any, int]:
-    """Close connections on which no whole request has arrived for too long; return since when each waits.
+    """Close connections that stand still for too long; return since when each does.
 
-    WebSockets are others. A connection has no `cycle` before its first request. The next request's head makes another
-    `cycle`, and the time for its body begins with it.
+    No whole request has arrived on such a one, or its browser takes nothing of the answer. WebSockets are others. A
+    connection has no `cycle` before its first request. The next request's head makes another `cycle`, and the time for
+    its body begins with it.
     """
-    http = [one for one in connections if isinstance(one, H11Protocol)]
-    waiting = [one for one in http if one.cycle is None or one.cycle.response_complete or one.cycle.more_body]
-    found = {(one, one.cycle): since_ns.get((one, one.cycle), now_ns) for one in waiting}
-    for (one, _), waits_ns in found.items():
-        if now_ns - waits_ns > _REQUEST_NS:
-            one.transport.close()
+    found: dict[Any, int] = {}
+    for one in connections:
+        if not isinstance(one, H11Protocol):
+            continue
+        cycle = one.cycle
+        if cycle is None or cycle.response_complete or cycle.more_body or one.flow.write_paused:
+            state = one, cycle, one.transport.get_write_buffer_size()
+            found[state] = since_ns.get(state, now_ns)
+            if now_ns - found[state] > _REQUEST_NS:
+                one.transport.abort()  # to close would wait until the answer is taken
     return found
 
 
@@ -153,6 +162,31 @@ async def _left(_request: Request, _error: Exception) -> Response:
 
 
 _NO_TEXT = "Invalid UTF-8 sequence received from client."  # an error to uvicorn
+
+
+class _Connection(H11Protocol):
+    """A browser's connection, which is closed at once if there are too many: the bus takes descriptors, too."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
+        """Begin to read."""
+        super().connection_made(transport)
+        if len(self.connections) > _MOST_CONNECTIONS:
+            transport.close()
+
+
+class _NotTaken:
+    """Has connections that cannot be taken logged seldom: asyncio would print a traceback for each try."""
+
+    def __init__(self) -> None:
+        self._refused = Throttle("request refused")
+
+    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Log such an error, or have asyncio print another one."""
+        error = context.get("exception")
+        if isinstance(error, OSError) and str(context.get("message")).startswith("socket.accept()"):
+            self._refused.warn(reason=f"no connection can be taken ({error.strerror})")
+        else:
+            loop.default_exception_handler(context)
 
 
 class _Seldom(logging.Filter):
@@ -182,10 +216,10 @@ def _without_traceback(record: logging.LogRecord) -> bool:
 def serve(site: Site, listening: socket.socket, ready: Callable[[], object], manager: Notifier, *, debug: bool) -> None:
     """Serve until SIGTERM, SIGINT or SIGHUP; `ready` is called once browsers are answered; `debug` logs tracebacks."""
     config = uvicorn.Config(
-        make_app(site), ws="websockets-sansio", http="h11", loop="asyncio", lifespan="on", log_config=None,
+        make_app(site), ws="websockets-sansio", http=_Connection, loop="asyncio", lifespan="on", log_config=None,
         access_log=False, server_header=False, proxy_headers=False, ws_max_size=4096, ws_max_queue=4,
-        ws_per_message_deflate=False, h11_max_incomplete_event_size=16_384, limit_concurrency=128,
-        timeout_graceful_shutdown=_END_S,
+        ws_per_message_deflate=False, h11_max_incomplete_event_size=16_384, limit_concurrency=_MOST_CONNECTIONS // 2,
+        timeout_graceful_shutdown=_END_S, backlog=_BACKLOG,
     )  # fmt: skip
     server = uvicorn.Server(config)
     log = logging.getLogger("uvicorn.error")
@@ -194,6 +228,7 @@ def serve(site: Site, listening: socket.socket, ready: Callable[[], object], man
         log.addFilter(_without_traceback)
 
     async def run(stop: Event) -> None:
+        asyncio.get_running_loop().set_exception_handler(_NotTaken())
         served = asyncio.create_task(server.serve([listening]))
         told, since_ns = False, dict[Any, int]()
         while not served.done():

@@ -25,6 +25,7 @@ from touchd.__main__ import open_streams
 from touchd.cli import main as cli
 from touchd.cli.main import VERBS, main, missing_extra
 from touchd.cli.options import Number
+from touchd.config.load import load
 from touchd.errors import TouchdError
 from touchd.files import state_folder
 from touchd.recording.format import write
@@ -435,6 +436,19 @@ def test_closed_stream(stream: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(getattr(sys, name) is other for name, other in others.items())
     with getattr(sys, stream) as opened:
         assert opened.read() == "" if stream == "stdin" else opened.write("a line\n")
+
+
+def test_character_that_a_locale_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Standard output has its escape, and a configuration printed there loads again."""
+    printed = tmp_path / "touchd.toml"
+    monkeypatch.setenv("TOUCHD_DEVICE__NAME", "10 €")
+    with open(printed, "w", encoding="latin-1") as stream:
+        monkeypatch.setattr(sys, "stdout", stream)
+        open_streams()
+        assert main(["config"]) == 0
+    monkeypatch.delenv("TOUCHD_DEVICE__NAME")
+    assert 'name = "10 \\u20ac"' in printed.read_text()
+    assert load(printed).device.name == "10 €"
 
 
 def test_no_home(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,6 +111,22 @@ def test_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (tmp_path / "opt/touchd/bin/touchd").read_text() == "the old one"
 
 
+@pytest.mark.parametrize("option", ["--uninstall", ""])
+def test_one_at_a_time(tmp_path: Path, option: str) -> None:
+    """A second one touches nothing while the first is at work."""
+    half_made = tmp_path / "opt/touchd.new/bin/touchd"
+    half_made.parent.mkdir(parents=True)
+    half_made.touch()
+    with subprocess.Popen(["flock", tmp_path / "opt", "sh", "-c", "echo; cat"], stdin=-1, stdout=-1) as first:
+        assert first.stdout is not None
+        first.stdout.readline()
+        assert "another install.sh is at work" in run(tmp_path, *filter(None, [option]), code=1)
+        assert files(tmp_path) == {"opt/touchd.new/bin/touchd"}
+        first.communicate()
+    run(tmp_path, "--uninstall")
+    assert files(tmp_path) == set(), "what an interrupted one left behind"
+
+
 def test_unknown_option(tmp_path: Path) -> None:
     """An unknown option is refused."""
     assert "unknown option --frobnicate" in run(tmp_path, "--frobnicate", code=1)

@@ -219,6 +219,14 @@ def test_a_removed_socket_file(other: Other) -> None:
     assert path.is_socket()
 
 
+def test_closed_bus(tmp_path: Path) -> None:
+    """A daemon that ends leaves no socket file, which would look like a daemon that runs."""
+    sink = ZeromqSink(BusSettings(bind=(f"ipc://{tmp_path}/bus",)))
+    assert (tmp_path / "bus").is_socket()
+    sink.close()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_without_its_folder(tmp_path: Path) -> None:
     """A bus that nobody can find any more ends the daemon: systemd starts it again, with a new folder."""
     (tmp_path / "run").mkdir()

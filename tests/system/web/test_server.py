@@ -6,6 +6,8 @@ import http.client
 import io
 import json
 import os
+import resource
+import select
 import signal
 import socket
 import time
@@ -195,7 +197,7 @@ def test_slow_reader(tmp_path: Path) -> None:
 
 
 def test_half_requests(tmp_path: Path) -> None:
-    """Whoever opens connections and says nothing on them, or no body, locks nobody out for long."""
+    """Whoever opens connections and says nothing on them, or no body, locks nobody out."""
     with web(f"ipc://{tmp_path}/bus", module=HURRIED) as server, ExitStack() as held:
         own = f"127.0.0.1:{server.port}"
         head = f"POST /session HTTP/1.1\r\nHost: {own}\r\nOrigin: http://{own}\r\nContent-Length: 60000\r\n\r\n"
@@ -233,6 +235,39 @@ def test_malformed_requests_do_not_fill_the_log(address: str) -> None:
     lines = [json.loads(line) for line in err.splitlines()]
     assert {(line["event"], line["reason"]) for line in lines} == {("request refused", "Invalid HTTP request received")}
     assert len(lines) <= took_s + 1
+
+
+def test_no_descriptor_is_left(address: str) -> None:
+    """Whoever opens more connections than there are descriptors does not fill the log, and locks nobody out."""
+    with web(address) as server, ExitStack() as held:
+        number = server.process.pid
+        few, many = resource.prlimit(number, resource.RLIMIT_NOFILE)
+        resource.prlimit(number, resource.RLIMIT_NOFILE, (len(os.listdir(f"/proc/{number}/fd")), many))
+        for _ in range(10):
+            held.enter_context(socket.create_connection(("127.0.0.1", server.port), PATIENCE_S))
+        assert server.process.stderr is not None
+        lines = [server.process.stderr.readline()]
+        resource.prlimit(number, resource.RLIMIT_NOFILE, (few, many))
+        assert ask(server, "GET", "/")[0] == 200
+        server.process.send_signal(signal.SIGTERM)
+        lines += server.process.communicate(timeout=PATIENCE_S)[1].splitlines()
+    assert [json.loads(line)["reason"] for line in lines] == ["no connection can be taken (Too many open files)"]
+
+
+def test_flood(address: str) -> None:
+    """A flood of connections is closed before it has taken the descriptors, some of which the bus needs."""
+    with web(address) as server, ExitStack() as held:
+        poll = select.poll()
+        for _ in range(500):
+            one = held.enter_context(socket.create_connection(("127.0.0.1", server.port), PATIENCE_S))
+            one.sendall(b"G")
+            poll.register(one, select.POLLIN)
+        until_s = time.monotonic() + PATIENCE_S
+        while len(poll.poll(0)) < 150:
+            assert time.monotonic() < until_s
+            assert len(os.listdir(f"/proc/{server.process.pid}/fd")) < 450
+            time.sleep(0.01)
+        assert server.process.poll() is None
 
 
 def test_end(address: str) -> None:

@@ -13,6 +13,9 @@ from touchd.config.load import load
 from touchd.config.render import render
 from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import ConfigError
+from touchd.localization.model import default_model_path
+
+KEY = '[[key]]\nname = "{}"\nx_mm = {}\ny_mm = 10\nwidth_mm = {}\nheight_mm = 20\n'
 
 pytestmark = pytest.mark.usefixtures("own_settings")
 
@@ -82,11 +85,34 @@ def test_wrong_file(tmp_path: Path) -> None:
 def test_wrong_layout(tmp_path: Path, keys: list[tuple[int, int]] | None, message: str) -> None:
     """Keys that do not fit the model's plate are named, and nothing is printed."""
     layout, file = tmp_path / "keys.toml", tmp_path / "touchd.toml"
-    file.write_text(f'[keypad]\nlayout = "{layout}"\n')
+    file.write_text(f'[keypad]\nlayout = "{layout}"\n[model]\npath = "{default_model_path()}"\n')
     if keys is not None:
-        table = '[[key]]\nname = "{}"\nx_mm = {}\ny_mm = 10\nwidth_mm = {}\nheight_mm = 20\n'
-        layout.write_text("".join(table.format(i, *key) for i, key in enumerate(keys)))
+        layout.write_text("".join(KEY.format(i, *key) for i, key in enumerate(keys)))
     result = CliRunner().invoke(command, ["--config", str(file)])
     assert isinstance(result.exception, ConfigError)
     assert message in str(result.exception)
     assert result.output == ""
+
+
+def test_layout_before_a_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keys of a plate that has no model yet are taken, as the daemon takes them, unless they are wrong on any plate."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))  # no model is installed
+    layout, file = tmp_path / "keys.toml", tmp_path / "touchd.toml"
+    layout.write_text(KEY.format("far", 700, 20))
+    for model in ("", tmp_path / "none.onnx"):
+        file.write_text(f'[keypad]\nlayout = "{layout}"\n[model]\npath = "{model}"\n')
+        result = CliRunner().invoke(command, ["--config", str(file)])
+        assert (result.exit_code, result.stdout) == (0, render(load(file)))
+    layout.write_text(KEY.format(1, 10, 50) + KEY.format(2, 30, 50))
+    assert isinstance(CliRunner().invoke(command, ["--config", str(file)]).exception, ConfigError)
+
+
+def test_keypad_without_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A keypad that could type nothing is a mistake; a model may bring its keys later."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))  # no model is installed
+    file = tmp_path / "touchd.toml"
+    file.write_text(f'[input]\nkeypad = true\n[model]\npath = "{default_model_path()}"\n')
+    result = CliRunner().invoke(command, ["--config", str(file)])
+    assert str(result.exception) == "input.keypad: there are no keys to type -> set keypad.layout"
+    file.write_text("[input]\nkeypad = true\n")
+    assert CliRunner().invoke(command, ["--config", str(file)]).exit_code == 0

@@ -123,6 +123,8 @@ def test_a_mistake_in_the_file_names_file_key_and_remedy(tmp_path: Path, text: s
         ("TOUCHD_DEVICE__RATE", "1", r"unknown variable -> did you mean TOUCHD_DEVICE__RATE_HZ\?"),
         ("TOUCHD_DEVICE_RATE_HZ", "1", r"unknown variable -> did you mean TOUCHD_DEVICE__RATE_HZ\?"),
         ("TOUCHD_DEBUGG", "1", r"unknown variable -> did you mean TOUCHD_DEBUG\?"),
+        ("TOUCHD_NOPE", "1", r"unknown variable -> remove it; `touchd config --default` prints every key"),
+        ("TOUCHD_CONFIG", "x.toml", r"unknown variable -> remove it;"),
         ("TOUCHD_LOG", "debug", r"names a whole table -> name one of its keys: TOUCHD_LOG__KEY"),
         ("TOUCHD_DEVICE__VENDOR_ID", "0x12345", r"is '0x12345', must be a whole number, 0 to 65535"),
         ("TOUCHD_BUS__BIND", "[1, 2", r"TOUCHD_BUS__BIND: is '\[1', must be an address"),

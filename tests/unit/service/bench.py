@@ -31,7 +31,10 @@ class Clock:
 
 
 class Script(Source):
-    """A source that does what is written down: a frame each 8 ms, None after the timeout, or an error."""
+    """A source that does what is written down: a frame each 8 ms, None after the timeout, or an error.
+
+    A frame's `t_ns` is the clock, plus what is written down.
+    """
 
     def __init__(self, recording: Recording, steps: Sequence[Step], clock: Clock) -> None:
         self.acquisition = recording.acquisition
@@ -48,7 +51,7 @@ class Script(Source):
             return None
         assert isinstance(step, Frame)
         self._clock.now_ns += PERIOD_NS
-        return replace(step, t_ns=self._clock.now_ns, received_ns=self._clock.now_ns)
+        return replace(step, t_ns=self._clock.now_ns + step.t_ns, received_ns=self._clock.now_ns)
 
     def close(self) -> None:
         self.closed += 1

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
+import select
+import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -53,6 +57,23 @@ def test_on_a_terminal_it_is_for_people() -> None:
     structlog.get_logger().info("streaming", rate_hz=125)
     assert "streaming" in stream.getvalue()
     assert not stream.getvalue().startswith("{")
+
+
+@pytest.mark.parametrize(
+    ("variables", "coloured"),
+    [({}, True), ({"NO_COLOR": "1"}, False), ({"NO_COLOR": ""}, True), ({"TERM": "dumb"}, False)],
+)
+def test_a_terminal_without_colours(variables: dict[str, str], coloured: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal that cannot show colours, or whose user wants none, gets plain text."""
+    for name, value in ({"TERM": "xterm"} | variables).items():
+        monkeypatch.setenv(name, value)
+    if "NO_COLOR" not in variables:
+        monkeypatch.delenv("NO_COLOR", raising=False)
+    stream = Terminal()
+    configure(LogSettings(), stream)
+    structlog.get_logger().info("streaming", rate_hz=125)
+    assert ("\x1b" in stream.getvalue()) == coloured
+    assert "rate_hz" in stream.getvalue()
 
 
 @pytest.mark.parametrize(("form", "json_"), [("console", False), ("json", True)])
@@ -195,3 +216,27 @@ def test_another_pane_is_a_warning_and_names_the_remedy() -> None:
     assert "another pane" in lines[0]["event"]
     assert "clock" in lines[0]["fix"]
     assert lines[1]["reason"] == "absorbed"
+
+
+def test_nobody_reads() -> None:
+    """A pipe that is full holds nobody up: its lines are dropped, and later ones are there once it is read."""
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(writer, bytes(4096))
+    os.set_blocking(writer, True)
+    with open(reader, "rb", 0) as log, open(writer, "w") as stream:
+        configure(LogSettings(), stream)
+        say = structlog.get_logger().info
+        saying = threading.Thread(target=say, args=("dropped",), daemon=True)
+        saying.start()
+        saying.join(10)
+        held_up = saying.is_alive()
+        while not select.select([], [writer], [], 0)[1]:
+            log.read(4096)
+        say("written")
+        stream.close()
+        assert b"written" in (text := log.read().lstrip(b"\0"))
+    assert not held_up
+    assert b"dropped" not in text

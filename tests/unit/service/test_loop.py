@@ -309,6 +309,15 @@ def test_tally(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> 
     assert "repeated" not in last.skipped
 
 
+@pytest.mark.parametrize(("late_s", "said"), [(0.4, ""), (12.3, "touches are 12.3 s old")])
+def test_late_frames(late_s: float, said: str, make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """Health says how late a replay's touches are, once programs drop them."""
+    bench = make([replace(frame, t_ns=-round(late_s * 1e9)) for frame in circle])
+    bench.service.run()
+    told = [event.reason or "" for event in bench.sink.health if event.state == "streaming"][1:]  # after a frame
+    assert {reason.partition(",")[0] for reason in told} == {said}
+
+
 def test_fault(make: Callable[..., Bench], circle: list[Frame]) -> None:
     """Health says while the DAQ repeats one frame; the log says so at most once a period."""
     last = circle[249]

@@ -83,13 +83,22 @@ def test_gone(path: Path, listening: socket.socket) -> None:
 
 
 def test_closed(path: Path, listening: socket.socket) -> None:
-    """What is closed leaves no second name, and brings nothing back; nor does a crashed one's stop the next."""
+    """What is closed leaves no name, and brings nothing back; nor does a crashed one's stop the next."""
     KeptSocketFile(path, socket.SOCK_STREAM)
     kept = KeptSocketFile(path, socket.SOCK_STREAM)
     kept.close()
     kept.close()
-    assert os.listdir(path.parent) == [path.name]
-    path.unlink()
+    assert os.listdir(path.parent) == []
     kept.look()
-    assert not path.exists()
+    assert os.listdir(path.parent) == []
     assert not reaches(path, listening)
+
+
+@pytest.mark.usefixtures("listening")
+def test_closed_after_it_was_taken(path: Path) -> None:
+    """A file of another process stays."""
+    kept = KeptSocketFile(path, socket.SOCK_STREAM)
+    path.unlink()
+    path.write_text("precious")
+    kept.close()
+    assert os.listdir(path.parent) == [path.name]

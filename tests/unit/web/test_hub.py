@@ -161,6 +161,31 @@ def test_a_lift_is_no_sign_of_life(hub: Hub) -> None:
     assert hub.heard_s == heard_s
 
 
+def test_a_daemon_that_is_newer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages that are not understood are said to be so, and do not fill the log for as long as they come."""
+    monkeypatch.setattr("touchd.web.hub._AGAIN_S", 0.0)
+    monkeypatch.setattr("touchd.sinks.throttle.PERIOD_S", 60.0)
+
+    async def hear() -> None:
+        hub = Hub(f"ipc://{tmp_path}/bus")
+        with zmq.Context() as context, context.socket(zmq.XPUB) as daemon:
+            daemon.bind(f"ipc://{tmp_path}/bus")
+            hub.start()
+            for _ in TOPICS:
+                await asyncio.to_thread(daemon.recv)
+            for _ in range(10):
+                daemon.send_multipart([b"health", b'{"v":2}'])
+            daemon.send_multipart([b"health", encode(health("streaming"))])
+            while hub.silent_s is None:
+                await asyncio.sleep(0.01)
+            await asyncio.to_thread(hub.stop)
+
+    with capture_logs() as log:
+        asyncio.run(asyncio.wait_for(hear(), 60))
+    (line,) = log
+    assert "of version 2" in line["error"]
+
+
 def test_a_bus_that_closes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of an address that can be used no more the log says why, without a traceback."""
 
@@ -177,6 +202,32 @@ def test_a_bus_that_closes(monkeypatch: pytest.MonkeyPatch) -> None:
     with capture_logs() as log:
         asyncio.run(ask())
     assert [line["event"] for line in log] == ["not listened to, and tried again"]
+
+
+def test_a_page_that_cannot_decide(tmp_path: Path) -> None:
+    """However often a page asks for the spectrum, one thread listens to it, and in the end as the page wants."""
+
+    async def ask() -> list[int]:
+        hub = Hub(f"ipc://{tmp_path}/bus")
+        hub.start()
+        page, listening = joined(hub), []
+        for number in range(101):
+            hub.ask(page, frozenset({"spectrum"} if number % 2 == 0 else ()))
+            listening.append(sum(thread.name == "bus" for thread in threading.enumerate()))
+            await asyncio.sleep(0)
+        with closing(ZeromqSink(BusSettings(bind=(f"ipc://{tmp_path}/bus",)))) as sink:
+            while not sink.wants("spectrum"):
+                sink.poll()
+                await asyncio.sleep(0.01)
+            hub.ask(page, frozenset())
+            while sink.wants("spectrum"):
+                sink.poll()
+                await asyncio.sleep(0.01)
+        await asyncio.to_thread(hub.stop)
+        return listening
+
+    before = sum(thread.name == "bus" for thread in threading.enumerate())
+    assert max(asyncio.run(asyncio.wait_for(ask(), 60))) <= before + 2
 
 
 def test_a_bus_that_is_closed_for_a_moment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -202,6 +253,38 @@ def test_a_bus_that_is_closed_for_a_moment(monkeypatch: pytest.MonkeyPatch, tmp_
 
     asyncio.run(asyncio.wait_for(hear(), 60))
     assert refused.is_set()
+
+
+def test_one_connection(tmp_path: Path) -> None:
+    """A page's server that starts is one subscriber to the daemon, which has nothing to warn of."""
+    address = f"ipc://{tmp_path}/bus"
+
+    async def hear(sink: ZeromqSink) -> None:
+        hub = Hub(address)
+        hub.open()
+        hub.start()
+        while hub.silent_s is None:
+            sink.poll()
+            await asyncio.sleep(0.01)
+        await asyncio.to_thread(hub.stop)
+
+    with capture_logs() as log, closing(ZeromqSink(BusSettings(bind=(address,)))) as sink:
+        sink.publish(health("streaming"), 0)
+        asyncio.run(asyncio.wait_for(hear(sink), 60))
+        sink.poll()
+    assert log == []
+
+
+def test_address_that_cannot_be_used() -> None:
+    """It is refused before the server starts; a hub that never started is closed all the same."""
+    hub = Hub("tcp://nowhere")
+    with pytest.raises(BusError, match="not an address"):
+        hub.open()
+    hub.stop()
+    hub = Hub("ipc:///nowhere")
+    hub.open()
+    hub.stop()
+    hub.stop()
 
 
 def test_most_clients(hub: Hub) -> None:

@@ -32,13 +32,19 @@ class Browser(asyncio.Transport):
         self.state = ServerState()
         self.protocol = H11Protocol(config, self.state, {}, asyncio.get_running_loop())
         self.protocol.connection_made(self)
-        self.said, self.closed = b"", False
+        self.said, self.closed, self.unsent = b"", False, 0
 
     def write(self, data: Any) -> None:
         self.said += bytes(data)
 
+    def get_write_buffer_size(self) -> int:
+        return self.unsent
+
     def is_closing(self) -> bool:
         return self.closed
+
+    def abort(self) -> None:
+        self.close()
 
     def close(self) -> None:
         if not self.closed:
@@ -77,6 +83,26 @@ def test_part_of_a_request(sent: bytes, caplog: pytest.LogCaptureFixture) -> Non
     with caplog.at_level(logging.WARNING):
         asyncio.run(stay())
     assert caplog.text == ""
+
+
+@pytest.mark.parametrize("takes", [False, True])
+def test_answer_that_is_not_taken(takes: bool) -> None:
+    """Who takes nothing of an answer is cut off; who takes it slowly has it all."""
+
+    async def stay() -> bool:
+        browser = Browser()
+        browser.protocol.pause_writing()
+        await browser.send(GET)
+        since_ns: dict[Any, int] = {}
+        for number in range(5):
+            browser.unsent = 100_000 - number * takes
+            since_ns = browser.look(since_ns, number * BEFORE_NS)
+        closed = browser.closed
+        browser.close()
+        await browser.settle()
+        return closed
+
+    assert asyncio.run(stay()) != takes
 
 
 def test_body_in_parts() -> None:
