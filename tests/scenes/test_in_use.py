@@ -95,6 +95,22 @@ def test_a_thumb_that_presses_firmly_is_no_palm(instrument: Instrument) -> None:
     assert {one.kind for message in outcome.touches for one in message.contacts if one.phase == "up"} == {"thumb"}
 
 
+def test_two_thumbs_that_press_firmly_at_once(instrument: Instrument) -> None:
+    """Points between them once explained them: a search found neither in time, or one went up as a palm's."""
+    stage, starts_s = empty_stage(16.0, seed=5111000), np.arange(1.0, 15.0, 0.7).tolist()
+    for start_s in starts_s:
+        for column, low_mm in enumerate((20.0, 120.0)):
+            place, late_s = stage.rng.uniform((low_mm, 60), (low_mm + 60, 180)).tolist(), stage.rng.uniform(0, 0.008)
+            stage.lay("thumb", start_s + late_s, start_s + 0.35, still(*place), force_n=1.6, column=column)
+    outcome = play(stage, instrument)
+    found = score(stage, outcome)
+    assert (found.touches, found.missed, found.ghosts, found.split) == (40, 0, 0, 0)
+    assert "palm" not in [one.kind for message in outcome.touches for one in message.contacts if one.phase == "up"]
+    downs_s = [one.t_ns * 1e-9 for one in outcome.touches if any(contact.phase == "down" for contact in one.contacts)]
+    late_s = [max(down_s for down_s in downs_s if down_s < start_s + 0.35) - start_s for start_s in starts_s]
+    assert sum(late > 0.06 for late in late_s) < 3
+
+
 @pytest.mark.parametrize("pause_s", [0.1, 0.3])
 def test_a_device_comes_back_while_somebody_types(pause_s: float, instrument: Instrument) -> None:
     """Two seconds later keys are found, though nobody pauses for long; they once were not until somebody did."""

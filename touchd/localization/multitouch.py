@@ -83,8 +83,9 @@ class MultitouchSearch:
         self._searched_ns: int | None = None
         self._pause_ns, self._unexplained, self._sought = 0, math.inf, math.inf  # sought: what the first frame left
         self._tracked, self._begun, self._begun_ns, self._credit = False, 0.0, 0, 0.0  # of the search that goes on
-        self._grown = 0  # fingers from which it went on in a later frame
+        self._grown: Fit | None = None  # fingers from which it went on in a later frame
         self._frames = 0  # in which it went on
+        self._ends = False  # whether it has found all, and only the look-ups of its last piece are owed
         self._last: tuple[Array, float] | None = None  # the frame before, and its signal; None unless they were coming
         self._looks = False  # whether it looks for what resting fingers lack; what comes beside them goes first
 
@@ -158,10 +159,15 @@ class MultitouchSearch:
         limited : bool
             Whether the search may go on in later frames; if not, it runs to its end now.
         """
-        if tracked is not self._tracked or (not tracked and self._is_outdated(bins, signal)):
+        begin, grow, count = fit, tracked, len(fit.positions_mm)
+        if not tracked and self._is_outdated(bins, signal):
             self._running = None
-        fresh, count = self._running is None, len(fit.positions_mm)
-        running = self._running or self._begin(bins, fit, signal, tracked=tracked)
+            if self._grown:  # what it has found has become stronger
+                begin, grow = self.count.again(bins, self._grown.positions_mm, self._grown), True
+        elif tracked is not self._tracked:
+            self._running = None
+        fresh = self._running is None
+        running = self._running or self._begin(bins, begin, signal, tracked=tracked, grow=grow)
         allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
         self._credit = min(self._credit, 0.0) + allowance  # what the last frame has left is none of this one
         self._frames += 1
@@ -181,10 +187,11 @@ class MultitouchSearch:
         if not fresh:
             found, known = self._as_of_now(bins, found, known, fit, signal)
             missing = self._noise.excess(found.residual_energy, signal) > _LANDED
-            if missing and limited and len(found.positions_mm) > max(known, self._grown):
+            before = len(self._grown.positions_mm) if self._grown else 0
+            if missing and limited and len(found.positions_mm) > max(known, before):
                 # Others have landed meanwhile: from here on they are searched in this frame.
-                self._grown = len(found.positions_mm)
-                self._running = self._all(bins.copy(), found, signal, known, grow=True)
+                self._grown = found
+                self._running, self._ends = self._all(bins.copy(), found, signal, known, grow=True), False
                 return waiting
             if found is fit:
                 if not fit.fisher_information:  # fingers that wait are not fitted
@@ -207,18 +214,19 @@ class MultitouchSearch:
         yield _CONFIRM_LOOK_UPS * len(found.positions_mm)
         return found, len(fit.positions_mm) if len(found.positions_mm) > len(fit.positions_mm) or found is fit else 0
 
-    def _begin(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool) -> Steps[Found]:
+    def _begin(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool, grow: bool = True) -> Steps[Found]:
         self._first, self._sought = bins.copy(), fit.residual_energy
         self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
         self._waiting_ns = self._waiting_ns if self._rang else self._t_ns
         self._rang &= self._t_ns < self._silent_ns
-        self._grown, self._frames, self._last, self._credit, self._looks = 0, 0, None, 0.0, False
-        self._running = self._all(self._first, fit, signal, len(fit.positions_mm) if tracked else 0, grow=tracked)
+        self._grown, self._frames, self._last, self._ends = None, 0, None, False
+        self._credit, self._looks = 0.0, False
+        self._running = self._all(self._first, fit, signal, len(fit.positions_mm) if tracked else 0, grow=grow)
         return self._running
 
     def _is_outdated(self, bins: Bins, signal: float) -> bool:
         """Return whether the search that goes on, if any, began with a frame unlike this one, noise apart."""
-        if self._running is None or self._first is None:
+        if self._running is None or self._first is None or self._ends:
             return False
         if signal > _OUTDATED * self._begun:
             return True
@@ -248,6 +256,7 @@ class MultitouchSearch:
             fresh = yield from pursuit.steps(bins, no_fit(bins.energy), noise_energy)
             if is_worth(fresh, found, noise_energy, signal):
                 found, known = fresh, 0
+        self._ends = True
         yield _CONFIRM_LOOK_UPS * len(found.positions_mm)
         return found, known
 
