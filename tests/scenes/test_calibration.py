@@ -258,10 +258,11 @@ def test_a_wrong_plate(plate: dict[str, Any], reason: str) -> None:
     assert any(reason in each for each in fit.reasons)
 
 
-def moved(disc: int, x_mm: float, y_mm: float) -> dict[str, Any]:
-    """PLATE.toml's discs, one of them measured wrongly."""
+def moved(disc: int, x_mm: float, y_mm: float, order: tuple[int, ...] = (0, 1, 2, 3, 4)) -> dict[str, Any]:
+    """PLATE.toml's discs, one of them measured wrongly, in another order."""
     places = LAYOUT.centres_mm + OFF_MM
     places[disc] += (x_mm, y_mm)
+    places = places[list(order)]
     return {"emitter_mm": tuple(places[0].tolist()), "receivers_mm": tuple(map(tuple, places[1:].tolist()))}
 
 
@@ -272,6 +273,9 @@ def moved(disc: int, x_mm: float, y_mm: float) -> dict[str, Any]:
         ({}, (0, 1, 2, 3, 4), moved(0, 12, 3), ("the emitter fits at (17, 36) mm, not at (29.4, 38.7) mm: ",)),
         ({"thickness_mm": 4, "material": "aluminium"}, (0, 1, 2, 3, 4), {}, (
             "a thickness of 5 mm fits, not 4 mm", "glass fits, not aluminium: correct the material",
+        )),
+        ({}, (0, 1, 2, 3, 4), moved(3, 0, -12, (0, 2, 1, 3, 4)), (
+            "receiver 1 at the place of receiver 2", "receiver 3 fits at (79, 60) mm, not at (79.1, 47.4) mm",
         )),
         ({"height_mm": 73}, (0, 2, 1, 3, 4), {}, ("a height of 70", "receiver 1 at the place of receiver 2")),
     ],

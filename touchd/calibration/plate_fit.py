@@ -31,6 +31,8 @@ SHEET_LEFT = 3e-4
 0.7 mm off (twin)."""
 HALF = 0.5
 """Another plate than the one said must leave less than this share of what the said one leaves."""
+ENOUGH_LEFT = 0.03
+"""Another plate that leaves more may have one wrong fact of two: a disc 12 mm off leaves 12 % (twin)."""
 Progress = Callable[[str, float], object]
 """Receives the stage's name and the share of the whole work that is done, 0 .. 1."""
 
@@ -99,8 +101,9 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
     best, taken = fit, Candidate(said, (), 1.0)
     for candidate in _others(said, recording_mean, fit, state):
         tried = other(candidate)
-        if tried.unexplained < min(HALF * fit.unexplained, USABLE_LEFT):
+        if tried.unexplained < min(HALF * best.unexplained, USABLE_LEFT):
             best, taken = tried, candidate
+        if taken.what and best.left < ENOUGH_LEFT:
             break
     if name := _other_material(best):  # whose constants are closer than those of the one said
         plate, told = of_material(taken.said, name)
