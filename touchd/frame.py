@@ -112,7 +112,7 @@ def impossible_lengths(width_mm: float, height_mm: float, thickness_mm: float) -
     """Yield the key of each length that no plate has in millimetres, and what is wrong with it."""
     for key, length_mm in (("width_mm", width_mm), ("height_mm", height_mm)):
         if length_mm < LEAST_SIDE_MM:
-            yield key, f"{length_mm:g} mm is no plate: metres?"
+            yield key, f"{length_mm:g} mm is no plate: metres or centimetres?"
     if not LEAST_THICKNESS_MM <= thickness_mm <= MOST_THICKNESS * min(width_mm, height_mm):
         yield "thickness_mm", f"{thickness_mm:g} mm is no thickness of a {width_mm:g} x {height_mm:g} mm plate"
 

@@ -258,6 +258,45 @@ def test_a_wrong_plate(plate: dict[str, Any], reason: str) -> None:
     assert any(reason in each for each in fit.reasons)
 
 
+def moved(disc: int, x_mm: float, y_mm: float, order: tuple[int, ...] = (0, 1, 2, 3, 4)) -> dict[str, Any]:
+    """PLATE.toml's discs, one of them measured wrongly, in another order."""
+    places = LAYOUT.centres_mm + OFF_MM
+    places[disc] += (x_mm, y_mm)
+    places = places[list(order)]
+    return {"emitter_mm": tuple(places[0].tolist()), "receivers_mm": tuple(map(tuple, places[1:].tolist()))}
+
+
+@pytest.mark.parametrize(
+    ("plate", "order", "discs", "reasons"),
+    [
+        ({"width_mm": 94}, (0, 1, 2, 3, 4), {}, ("a width of 90",)),
+        ({}, (0, 1, 2, 3, 4), moved(0, 12, 3), ("the emitter fits at (17, 36) mm, not at (29.4, 38.7) mm: ",)),
+        ({"thickness_mm": 4, "material": "aluminium"}, (0, 1, 2, 3, 4), {}, (
+            "a thickness of 5 mm fits, not 4 mm", "glass fits, not aluminium: correct the material",
+        )),
+        ({}, (0, 1, 2, 3, 4), moved(3, 0, -12, (0, 2, 1, 3, 4)), (
+            "receiver 1 at the place of receiver 2", "receiver 3 fits at (79, 60) mm, not at (79.1, 47.4) mm",
+        )),
+        ({"height_mm": 73}, (0, 2, 1, 3, 4), {}, ("a height of 70", "receiver 1 at the place of receiver 2")),
+    ],
+)  # fmt: skip
+def test_wrong_facts(
+    plate: dict[str, Any], order: tuple[int, ...], discs: dict[str, Any], reasons: tuple[str, ...]
+) -> None:
+    """A side that is 3 mm off, a disc elsewhere, two wrong facts: each is named once, and nothing else is."""
+    wrong = said(order, **plate)
+    fit = fit_plate(wrong.model_copy(update={"discs": wrong.discs.model_copy(update=discs)}), heard())
+    assert fit.verdict == "usable"
+    assert fit.unexplained < 1e-3
+    assert len(fit.reasons) == len(reasons), fit.reasons
+    for reason, found in zip(reasons, fit.reasons, strict=True):
+        assert reason in found
+    assert places_off_mm(fit) < 0.1
+    measured = {parameter.name: parameter.said for parameter in fit.parameters}
+    assert measured["width"] == wrong.plate.width_mm
+    assert measured["thickness"] == wrong.plate.thickness_mm
+
+
 TAPED, CLAMPED = Mounting(left="tape", bottom="tape"), Mounting(left="clamped")
 
 

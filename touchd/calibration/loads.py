@@ -147,9 +147,13 @@ class Edges(NamedTuple):
     """Values by name, for example `left damping`."""
     middle_rad_s: float
 
-    def turned(self, orientation: int) -> Edges:
-        """Return the edges of a plate that is mirrored left to right (bit 0), top to bottom (bit 1), or both."""
-        other = {side: SIDES[k ^ (orientation >> k // 2 & 1)] for k, side in enumerate(SIDES)}
+    def turned_back(self, orientation: int) -> Edges:
+        """Return the edges of a plate whose drawing was mirrored left to right (bit 0) and top to bottom (bit 1).
+
+        With bit 2 x and y were exchanged before that.
+        """
+        across = orientation >> 1 & 2
+        other = {side: SIDES[k ^ (orientation >> k // 2 & 1) ^ across] for k, side in enumerate(SIDES)}
         values = {f"{other[name.split()[0]]} {name.split()[1]}": value for name, value in self.values.items()}
         return self._replace(kinds={other[side]: kind for side, kind in self.kinds.items()}, values=values)
 

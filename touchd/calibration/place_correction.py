@@ -15,9 +15,10 @@ import numpy as np
 
 from touchd.calibration.loads import SIDES
 from touchd.calibration.parameters import wavelength_mm
-from touchd.calibration.plate_fit import CLAMPED_MM, GOOD_MM, MODEL, PlateFit
+from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.reduced_plate import Floats
 from touchd.calibration.spline_grid import coefficients_of, grid_of
+from touchd.calibration.verdict import CLAMPED_MM, GOOD_MM, MODEL
 from touchd.localization.atlas import Atlas
 from touchd.training.field.place import FieldMap, yields_of
 

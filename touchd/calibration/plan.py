@@ -17,8 +17,8 @@ from touchd.calibration.emission import emission
 from touchd.calibration.parameters import usual_loss, wavelength_mm
 from touchd.calibration.physical_atlas import spectra_to_bins
 from touchd.calibration.plate_file import PlateFile
-from touchd.calibration.plate_fit import EXACT
 from touchd.calibration.reduced_plate import Complex, Floats
+from touchd.calibration.verdict import EXACT
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Acquisition
 from touchd.training.field.bins import TAPER

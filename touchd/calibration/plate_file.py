@@ -11,10 +11,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import PlateFileInvalid
 from touchd.files import read_toml
-from touchd.frame import LEAST_THICKNESS_MM, Plate, impossible_lengths
+from touchd.frame import Plate, impossible_lengths
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.transducer import Layout
 
+LEAST_DISC_MM = 2.0
+"""No wider than thick: what bends a plate is wider."""
 Edge = Literal["free", "pads", "tape", "clamped"]
 Millimetres = Annotated[float, Field(gt=0, le=1e5, strict=True)]
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
@@ -224,8 +226,8 @@ def _check_lengths(said: PlateFile) -> Iterator[Mistake]:
     fix = "write every length in millimetres"
     for key, what in impossible_lengths(plate.width_mm, plate.height_mm, plate.thickness_mm):
         yield what, f"plate.{key}", fix
-    if discs.diameter_mm < LEAST_THICKNESS_MM:
-        yield f"{discs.diameter_mm:g} mm is no disc: metres?", "discs.diameter_mm", fix
+    if discs.diameter_mm < LEAST_DISC_MM:
+        yield f"{discs.diameter_mm:g} mm is no disc: metres or centimetres?", "discs.diameter_mm", fix
     for name, key, place in _places(discs):
         if 0 < max(place) < 1 and min(place) >= 0:
             yield f"{name} at ({place[0]:g}, {place[1]:g}) looks like metres", key, fix

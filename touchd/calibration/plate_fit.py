@@ -1,14 +1,13 @@
-"""Fit plate and discs to the untouched response, and judge the fit: verdict, expected error, reasons."""
+"""Fit plate and discs to the untouched response; what was said wrongly is looked for."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
 
 import numpy as np
 
-from touchd.calibration.candidates import Candidate, candidates, material_like, rolled, soft_edges
+from touchd.calibration.candidates import Candidate, candidates, material_like, of_material, rolled, soft_edges
 from touchd.calibration.loads import Edges, Loss, attachments
 from touchd.calibration.parameters import LOGARITHMS, Reader, wavelength_mm
 from touchd.calibration.plate_file import PlateFile
@@ -16,6 +15,7 @@ from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
 from touchd.calibration.scatterers import scatterers
 from touchd.calibration.stages import GOOD_LEFT, State, run_stages
 from touchd.calibration.untouched import Untouched
+from touchd.calibration.verdict import AT_PRIOR, CONSTANTS, USABLE_LEFT, Judgement, Parameter, judge
 from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
@@ -23,72 +23,18 @@ from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout
 
-Verdict = Literal["good", "usable", "poor"]
-
-EXACT = 0.0013
-"""Median error of a touch with exact physics and without noise, wavelengths: 0.03 mm on 5 mm glass."""
-NOISE = 1.0
-"""Median error by noise, wavelengths times the RMS of a frame's noise relative to the signal."""
-MODEL = 0.04
-"""Median error by physics that the fit lacks, wavelengths times the root of the energy that it leaves."""
-USABLE_LEFT = 0.12
-"""Most energy that a usable fit leaves, beyond noise."""
-GOOD_MM, USABLE_MM = 0.2, 1.0
-"""Largest expected error of a good and a usable fit, mm."""
-FINGER_MM = 12.0
-"""Width of an adult's fingertip. With waves of 10.8 mm 7 % are miscounted in single frames, with 13 mm none (twin,
-acrylic)."""
-CLAMPED_MM = 0.7
-"""Error of places beside a clamped edge: its depth trades off against the plate's sides (twin)."""
 NEAR_FIELD = 0.08
 """Share of what a scatterer changes that its means miss: near it most, and more on a small plate (twin: half of the
 errors are within a standard error on 90 x 70 mm, nine in ten on 220 x 160 mm)."""
-NOT_SAID = ("loss", "slope", "disc", "edge", "scatterer", "in-plane")
-"""Names of parameters that nobody measures begin so: no reason to doubt a fit."""
-ODD_CHANNEL = 10.0
-"""A channel that leaves this many times the share of the median channel is odd."""
-BONDED = (
-    "the pane bends as if something were bonded on all of it, or it is laminated: judge its touches by touchd check"
-)
-UNDECIDED = (
-    "whether the drawing is mirrored or turned by 180 degrees: a rectangle sounds the same; tap the top left "
-    "corner, and then the top right one",
-)
-AT_PRIOR = 2.0
-"""A parameter this many of its standard deviations from what was said has been pulled there by the data."""
 SHEET_LEFT = 3e-4
 """Metal that leaves more may be rolled: 6 % of orthotropy leave 0.2 % on 90 x 70 x 3 mm at 96 kHz, and discs that are
 0.7 mm off (twin)."""
 HALF = 0.5
 """Another plate than the one said must leave less than this share of what the said one leaves."""
+ENOUGH_LEFT = 0.03
+"""Another plate that leaves more may have one wrong fact of two: a disc 12 mm off leaves 12 % (twin)."""
 Progress = Callable[[str, float], object]
 """Receives the stage's name and the share of the whole work that is done, 0 .. 1."""
-
-
-class Parameter(NamedTuple):
-    """One fitted number beside what PLATE.toml said."""
-
-    name: str
-    """For example `thickness`, `emitter x` or `receiver 2 y`."""
-    unit: str
-    said: float
-    fitted: float
-    standard_error: float
-    at_prior: bool
-    """Whether the data pull it further from what was said than its uncertainty allows."""
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """What a fit is worth."""
-
-    verdict: Verdict
-    expected_mm: float
-    """Expected median error of a touch with a physical atlas of this plate."""
-    reasons: tuple[str, ...]
-    """Why the verdict is not better, each with the next thing to do."""
-    undecided: tuple[str, ...]
-    """What an untouched plate cannot tell, each with what settles it."""
 
 
 @dataclass(frozen=True)
@@ -144,13 +90,34 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
         raise CalibrationError(
             "no channel hears the chirp", "recording", "check the emitter's cable and amplifier, and record again"
         )
-    fit, state = _fit(said, recording_mean, lambda share: progress("fit", share))
+    reader = Reader(said, recording_mean.acquisition)
+    asked = dict(zip((one.label for one in reader.unknowns), reader.shown(reader.start).tolist(), strict=True))
+
+    def other(candidate: Candidate) -> PlateFit:
+        fit, _ = _fit(candidate, recording_mean, lambda share: progress("candidates", share), asked)
+        return fit
+
+    fit, state = _fit(Candidate(said, (), 1.0), recording_mean, lambda share: progress("fit", share), asked)
+    best, taken = fit, Candidate(said, (), 1.0)
     for candidate in _others(said, recording_mean, fit, state):
-        other, _ = _fit(candidate.said, recording_mean, lambda share: progress("candidates", share), candidate.what)
-        if other.unexplained < min(HALF * fit.unexplained, USABLE_LEFT):
-            return other
+        tried = other(candidate)
+        if tried.unexplained < min(HALF * best.unexplained, USABLE_LEFT):
+            best, taken = tried, candidate
+        if taken.what and best.left < ENOUGH_LEFT:
+            break
+    if name := _other_material(best):  # whose constants are closer than those of the one said
+        plate, told = of_material(taken.said, name)
+        best = other(Candidate(plate, (*taken.what, told), 1.0))
     progress("fit", 1.0)
-    return fit
+    return best
+
+
+def _other_material(fit: PlateFit) -> str | None:
+    """Return the material that a fit has, if it is not the one said and the data have pulled the constants there."""
+    elastic = fit.plate.elastic
+    named = material_like(np.sqrt(elastic.E_pa / elastic.rho_kg_m3), elastic.nu)
+    pulled = any(p.at_prior for p in fit.parameters if p.name in CONSTANTS)
+    return named if named != fit.plate.material.lower() and pulled and fit.left <= USABLE_LEFT else None
 
 
 def _others(said: PlateFile, untouched: Untouched, fit: PlateFit, state: State) -> Iterator[Candidate]:
@@ -163,21 +130,20 @@ def _others(said: PlateFile, untouched: Untouched, fit: PlateFit, state: State) 
         yield from scatterers(said, untouched, state, fit.basis)
     if USABLE_LEFT >= fit.left > GOOD_LEFT:
         yield from soft_edges(said, untouched, state, fit.basis)
-        yield from candidates(said, untouched)
+        yield from candidates(said, untouched, rounds=1)
 
 
 def _fit(
-    said: PlateFile, untouched: Untouched, progress: Callable[[float], object], *found: str
+    candidate: Candidate, untouched: Untouched, progress: Callable[[float], object], asked: Mapping[str, float]
 ) -> tuple[PlateFit, State]:
-    """Fit one plate, with standard errors and verdict; `found` says what it has other than PLATE.toml."""
-    reader = Reader(said, untouched.acquisition)
+    """Fit one plate, with standard errors and verdict; `asked` has what PLATE.toml says, by parameter."""
+    reader = Reader(candidate.said, untouched.acquisition)
     state, model = run_stages(reader, untouched, progress)
     measured, p = untouched.mean, state.p
     fitted = model.signals(p, state.fitted)
-    parameters = _parameters(reader, state)
+    parameters = tuple(each._replace(said=asked.get(each.name, each.said)) for each in _parameters(reader, state))
     plate, guess, layout = reader.plate(p), reader.read(p), reader.layout(p)
-    if layout.scatterers:
-        found = tuple(what.format(at_mm=layout.scatterers[-1].at_mm) for what in found)
+    found = tuple(what.format(layout=layout, plate=plate) for what in candidate.what)
     heard = measured - model.beside(state.fitted)
     energy = np.where(untouched.dead, np.nan, (heard**2).sum(axis=1))
     left = ((measured - fitted) ** 2).sum(axis=1) / energy
@@ -187,9 +153,6 @@ def _fit(
     share = 0.5 / p[reader.index(("width", "height"))]
     covariance = state.covariance[np.ix_(sides, sides)]
     scale_error = float(np.sqrt(share @ covariance @ share))
-    named = material_like(np.sqrt(plate.elastic.E_pa / plate.elastic.rho_kg_m3), plate.elastic.nu)
-    if named and named != plate.material.lower() and any(q.at_prior for q in parameters[:4]):
-        found = (*found, f"{named} fits, not {plate.material}: correct the material")
     moved = ((state.p - reader.start) / reader.prior)[reader.index(("width", "height"))]
     judgement = judge(
         left, parameters, noise_share=noise_share, frame_noise=np.sqrt(noise_share * untouched.frames),
@@ -224,71 +187,4 @@ def _parameters(reader: Reader, state: State) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(unknown.label, unknown.unit, float(a), float(b), float(e), bool(m))
         for unknown, a, b, e, m in zip(reader.unknowns, said, found, error, moved, strict=True)
-    )
-
-
-def judge(
-    shares: Floats, parameters: Sequence[Parameter], *, noise_share: float, frame_noise: float, wavelength_mm: float,
-    scale_mm: float, contradiction: float = 0.0, clamped: Sequence[str] = (), found: Sequence[str] = (),
-) -> Judgement:  # fmt: skip
-    """Return verdict, expected error and reasons.
-
-    `shares` (R,) is what the fit leaves of each channel's energy, NaN of a dead one; `noise_share` of the mean frame's
-    energy is noise. `frame_noise` is the RMS of one frame's noise relative to the signal, `scale_mm` the error of
-    places by the errors of width and height, half of these, and `contradiction` how far the fit has moved the two, in
-    what they were said to err by. `clamped` are sides in a clamp, and `found` says what else was found: a swapped
-    channel, another material that fits.
-    """
-    dead = np.flatnonzero(np.isnan(shares))
-    live = shares[~np.isnan(shares)]
-    left = max(float(np.mean(live)) - noise_share, 0.0) if live.size else 1.0
-    parts = (EXACT, NOISE * frame_noise, MODEL * np.sqrt(left))
-    apart_mm = np.array([wavelength_mm * np.linalg.norm(parts), scale_mm, CLAMPED_MM if clamped else 0.0])
-    expected_mm = told_mm = float(np.linalg.norm(apart_mm))
-    reasons = list(found)
-    reasons += [f"the {side} edge is clamped: places may be shifted as a whole; free it" for side in clamped]
-    reasons += [f"receiver {c + 1} is dead: check its disc and cable" for c in dead]
-    usual = float(np.median(live)) if live.size else 1.0
-    odd = [c for c, share in enumerate(shares) if share > ODD_CHANNEL * usual and share > GOOD_LEFT]
-    reasons += [f"receiver {c + 1} does not fit as the others do: check its disc and its place" for c in odd]
-    bonded = any(p.at_prior and p.name == "in-plane stiffness" for p in parameters)
-    if bonded:
-        reasons.append(BONDED)
-    pulled = [
-        p for p in parameters
-        if p.at_prior and not p.name.startswith(NOT_SAID) and not (bonded and p.name == "wave speed")
-    ]  # fmt: skip
-    reasons += [
-        f"{p.name}: {p.said:.4g} {p.unit} was said, {p.fitted:.4g} fits: measure it again".replace("  ", " ")
-        for p in pulled
-    ]
-    if left > GOOD_LEFT:
-        reasons.insert(0, _unexplained(left))
-    elif contradiction > AT_PRIOR:  # where physics lack, they may be what has moved the sides
-        told_mm = float(np.hypot(expected_mm, scale_mm * contradiction))
-        reasons.append("width and height contradict each other: measure both again")
-    if NOISE * frame_noise * wavelength_mm > GOOD_MM / 2:
-        reasons.append(f"noise of {20 * np.log10(frame_noise):.0f} dB: raise the gain, or shield the cables")
-    if scale_mm > GOOD_MM / 2:
-        reasons.append(f"the scale is known to {scale_mm:.2f} mm: measure width and height more exactly")
-    short = wavelength_mm < FINGER_MM
-    if short:
-        reasons.append(
-            f"waves of {wavelength_mm:.0f} mm are shorter than a fingertip is wide, and some touches get lost: "
-            "chirp at lower frequencies, or take a thicker pane"
-        )
-    if left > USABLE_LEFT or expected_mm > USABLE_MM or live.size < 2:
-        return Judgement("poor", told_mm, tuple(reasons), UNDECIDED)
-    good = (
-        not (short or dead.size or odd or pulled or bonded or found or clamped)
-        and left <= GOOD_LEFT
-        and told_mm <= GOOD_MM
-    )
-    return Judgement("good" if good else "usable", told_mm, () if good else tuple(reasons), UNDECIDED)
-
-
-def _unexplained(left: float) -> str:
-    return (
-        f"the plate's physics leave {left:.1%} of the response: check that it is one rectangular pane without holes, "
-        "its width and height, what holds its edges, and the order of the channels"
     )

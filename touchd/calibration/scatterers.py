@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchd.calibration.candidates import Candidate
+from touchd.calibration.candidates import Candidate, grid
 from touchd.calibration.parameters import Reader, wavelength_mm
 from touchd.calibration.plate_file import PlateFile, ScattererSaid
 from touchd.calibration.reduced_plate import Floats, ReducedPlate
@@ -27,10 +27,10 @@ buttons leave 0.21 to 0.77; tape that is not said, clamps and pads 0.88 to 1, an
 PLACE_MM = 3.0
 """Standard deviation of a place found so."""
 WHAT = (
-    "something at ({at_mm[0]:.0f}, {at_mm[1]:.0f}) mm scatters waves, as a hole or a button does: "
-    "say so in PLATE.toml ([[scatterers]]), or take it off"
+    "something at ({{layout.scatterers[{0}].at_mm[0]:.0f}}, {{layout.scatterers[{0}].at_mm[1]:.0f}}) mm scatters "
+    "waves, as a hole or a button does: take it off, or leave a hole: the fit has it"
 )
-"""For a person, once the fit tells where."""
+"""For a person, of a scatterer's number; the fit tells where."""
 
 
 def scatterers(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPlate) -> list[Candidate]:
@@ -38,7 +38,7 @@ def scatterers(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
     reader = Reader(said, untouched.acquisition)
     model = UntouchedModel(plate, reader, untouched)
     p, wave_mm = said.plate, wavelength_mm(said.twin_plate(), untouched.acquisition.chirp)
-    places_mm = _grid(p.width_mm, p.height_mm, wave_mm / PER_WAVE)
+    places_mm = grid(p.width_mm, p.height_mm, wave_mm / PER_WAVE, wave_mm / PER_WAVE)
     shares = model.explained_by_mass(state.p, state.fitted, 1e-3 * places_mm)
 
     def with_one(at_mm: Floats) -> PlateFile:
@@ -53,7 +53,7 @@ def scatterers(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
         own = more.scatterers[len(reader.scatterers) :]
         alone = descend(UntouchedModel(plate, more, untouched), start, own, WHOLE, STEPS)
         there_mm = np.clip(1e3 * more.read(alone.p).discs.scatterers[-1, :2], 0.0, (p.width_mm, p.height_mm))
-        return Candidate(with_one(there_mm), WHAT, alone.left / state.left)
+        return Candidate(with_one(there_mm), (WHAT.format(len(said.scatterers)),), alone.left / state.left)
 
     places = []
     for _ in range(TRIED):
@@ -61,9 +61,3 @@ def scatterers(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
         shares[np.linalg.norm(places_mm - places[-1], axis=1) < APART * wave_mm] = 0.0
     best = min(map(fitted, places), key=lambda candidate: candidate.left)
     return [best] if best.left < BETTER else []
-
-
-def _grid(width_mm: float, height_mm: float, step_mm: float) -> Floats:
-    """Return places all over a plate, one step from its edges, (n, 2)."""
-    x, y = (np.linspace(step_mm, side - step_mm, max(int(side / step_mm), 2)) for side in (width_mm, height_mm))
-    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

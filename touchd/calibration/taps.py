@@ -1,9 +1,9 @@
 """What taps at roughly known places tell of a fitted plate: orientation, labels' scatter, common errors of places.
 
 The physical field places a tap ten times as exactly as a person hits a target, so that labels only choose among the
-rectangle's four symmetries, which sound the same untouched, and tell what all places have in common. Where physics
-lack something, the taps themselves tell its waves (`wave_correction`). Else the field stays: a gain in each bin,
-learned from fingertips, explains them better and places every tip worse (twin).
+symmetries, four of a rectangle and eight of a square, which sound the same untouched, and tell what all places have in
+common. Where physics lack something, the taps themselves tell its waves (`wave_correction`). Else the field stays: a
+gain in each bin, learned from fingertips, explains them better and places every tip worse (twin).
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from touchd.calibration.place_correction import LABELS_MM, Widths, correction_of, with_places
 from touchd.calibration.plate_fit import PlateFit, Progress
-from touchd.calibration.reduced_plate import Complex, Floats
+from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
 from touchd.calibration.stages import GOOD_LEFT
 from touchd.calibration.tap_fit import fit_taps
+from touchd.calibration.verdict import is_square
 from touchd.calibration.wave_correction import with_waves
 from touchd.errors import CalibrationError, TrainingError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
@@ -27,7 +28,14 @@ from touchd.localization.atlas import Atlas
 from touchd.recording.data import Recording
 from touchd.training.field.place import place
 
-ORIENTATIONS = ("", "mirrored left to right", "mirrored top to bottom", "turned by 180 degrees")
+ORIENTATIONS = (
+    "", "mirrored left to right", "mirrored top to bottom", "turned by 180 degrees",
+    "mirrored along a diagonal, x and y exchanged", "turned by 90 degrees clockwise",
+    "turned by 90 degrees counterclockwise", "mirrored along the diagonal from the top right",
+)  # fmt: skip
+"""Each is a number of three bits: mirrored left to right, top to bottom, and x and y exchanged before that."""
+EXCHANGED = 4
+"""The bit of `ORIENTATIONS` that exchanges x and y."""
 CLEARER = 0.5
 """Another orientation leaves less than this share of what the drawing's leaves. At a right one taps leave 0.01, at a
 wrong one half of their energy and more (twin)."""
@@ -118,13 +126,31 @@ def check_alike(recording: Recording, acquisition: Acquisition) -> None:
 def orientation_of(atlas: Atlas, taps: Taps) -> int:
     """Return which of `ORIENTATIONS` explains the taps."""
     size_mm = atlas.description.plate.size_mm
-    left = [float(np.median(place(atlas, taps.values, turned(taps.label_mm, k, size_mm)).misfit)) for k in range(4)]
+    left = [
+        float(np.median(place(atlas, taps.values, turned(taps.label_mm, k, size_mm)).misfit))
+        for k in orientations(size_mm)
+    ]
     best = int(np.argmin(left))
     return best if left[best] < CLEARER * left[0] else 0
 
 
+def orientations(size_mm: tuple[float, float]) -> range:
+    """Return which of `ORIENTATIONS` a drawing of this size may have."""
+    return range(len(ORIENTATIONS) if is_square(*size_mm) else len(ORIENTATIONS) // 2)
+
+
 def turned(position_mm: Floats, orientation: int, size_mm: tuple[float, float]) -> Floats:
-    """Return places (n, 2) in a plate turned into one of `ORIENTATIONS`."""
+    """Return places (n, 2) as a drawing of one of `ORIENTATIONS` and of this size has them."""
+    return _mirrored(position_mm[:, ::-1] if orientation & EXCHANGED else position_mm, orientation, size_mm)
+
+
+def turned_back(drawn_mm: Floats, orientation: int, size_mm: tuple[float, float]) -> Floats:
+    """Return places (n, 2) that a drawing of this size has turned."""
+    found = _mirrored(drawn_mm, orientation, size_mm)
+    return found[:, ::-1] if orientation & EXCHANGED else found
+
+
+def _mirrored(position_mm: Floats, orientation: int, size_mm: tuple[float, float]) -> Floats:
     found = np.array(position_mm, np.float64)
     for axis in (0, 1):
         if orientation & (1 << axis):
@@ -136,9 +162,9 @@ def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     """Return a fit whose drawing is turned: the untouched plate sounds the same."""
     size_mm, scatterers = fit.plate.size_mm, fit.layout.scatterers
     at_mm = np.array([each.at_mm for each in scatterers]).reshape(-1, 2)
-    others = zip(scatterers, turned(at_mm, orientation, size_mm).tolist(), strict=True)
-    places = turned(fit.layout.centres_mm, orientation, size_mm).tolist()
-    beads = turned(np.array(fit.layout.beads_mm).reshape(-1, 2), orientation, (0.0, 0.0)).tolist()
+    others = zip(scatterers, turned_back(at_mm, orientation, size_mm).tolist(), strict=True)
+    places = turned_back(fit.layout.centres_mm, orientation, size_mm).tolist()
+    beads = turned_back(np.array(fit.layout.beads_mm).reshape(-1, 2), orientation, (0.0, 0.0)).tolist()
     layout = fit.layout.model_copy(
         update={
             "emitter_mm": tuple(places[0]), "receivers_mm": tuple(map(tuple, places[1:])),
@@ -149,7 +175,15 @@ def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     reasons = fit.reasons
     if orientation:
         reasons = (f"the drawing is {ORIENTATIONS[orientation]}: correct the discs' places", *reasons)
-    return replace(fit, layout=layout, edges=fit.edges.turned(orientation), undecided=(), reasons=reasons)
+    plate, basis = fit.plate, fit.basis
+    if orientation & EXCHANGED:
+        (width_mm, height_mm), elastic = size_mm, plate.elastic._replace(orthotropy=1 / plate.elastic.orthotropy)
+        plate = plate.model_copy(update={"width_mm": height_mm, "height_mm": width_mm, "elastic": elastic})
+        basis = ReducedPlate(plate, fit.acquisition.chirp.band_hz[1])
+    return replace(
+        fit, plate=plate, basis=basis, layout=layout, edges=fit.edges.turned_back(orientation), undecided=(),
+        reasons=reasons,
+    )  # fmt: skip
 
 
 def refine(

@@ -108,6 +108,32 @@ class UntouchedModel:
                 found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
         return found
 
+    def place_misfits(self, p: Floats, window: Floats, places_m: Floats) -> Floats:
+        """Return the share of each channel's energy that is left with a disc at other places (n, 2), shape (n, D, R).
+
+        All other discs stay where `p` has them.
+        """
+        response, used = self._response(p), window > 0
+        y = self.measured[:, used] * window[used]
+        y /= np.maximum(np.sqrt((y**2).sum(axis=1, keepdims=True)), np.finfo(float).tiny)
+
+        def left(waves: Complex, channel: int) -> Floats:
+            B = self._heard_basis(waves / np.sqrt(np.mean(np.abs(waves) ** 2)))[..., used] * window[used]
+            normal = B @ B.transpose(0, 2, 1)
+            normal += _RIDGE**2 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(normal.shape[1])
+            met = B @ y[channel]
+            return np.asarray(1 - (met * np.linalg.solve(normal, met[..., None])[..., 0]).sum(axis=1))
+
+        between, found = response.between(), []
+        for part in np.array_split(places_m, np.ceil(len(places_m) / _AT_ONCE)):
+            waves = response.at(part)  # (D, n, F)
+            misfits = np.empty((len(part), len(waves), len(y)))
+            for c in range(len(y)):
+                misfits[:, :, c] = left(between[:1, c + 1], c)
+                misfits[:, 0, c], misfits[:, c + 1, c] = left(waves[c + 1], c), left(waves[0], c)
+            found.append(misfits)
+        return np.concatenate(found)
+
     def explained_by_mass(self, p: Floats, fitted: Fitted, places_m: Floats, from_m: Floats | None = None) -> Floats:
         """Return the share of what a fit of the whole frame leaves that a small mass at each place (n, 2) explains.
 

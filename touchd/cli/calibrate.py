@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from touchd.cli.options import PATH, NumberRange, check_model_output, config_option, json_option
 from touchd.errors import DeviceLost, PlatePoor
@@ -45,7 +46,10 @@ JOINTS = ("disc stiffer", "disc bead")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--force", is_flag=True, help="Write the model of a poor fit, too.")
 @config_option
+@click.pass_context
 def command(
+    ctx: click.Context,
+    /,
     recording: Path | None,
     output: Path,
     plate_file: Path,
@@ -80,6 +84,9 @@ def command(
     check_model_output(output)
     if recording is not None and (ni or simulate or audio is not None):
         raise click.UsageError("name a RECORDING or a source, not both")
+    idle = [name for name in ("seconds", "config") if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE]
+    if recording is not None and idle:
+        raise click.UsageError(f"no effect on a RECORDING: {', '.join(f'--{name}' for name in idle)}; leave it out")
     said = read_plate_file(plate_file)
     taps = read(taps_file) if taps_file else None
     if taps is not None:

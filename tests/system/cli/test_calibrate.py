@@ -265,6 +265,16 @@ def cut(recording: Recording, frames: np.ndarray) -> Recording:
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("option", [("--seconds", "5"), ("--config", "touchd.toml")])
+def test_an_option_that_a_recording_leaves_idle(option: tuple[str, str], idle: Recording, tmp_path: Path) -> None:
+    """An option that says how to take frames is refused beside frames that are there, and not ignored."""
+    write(tmp_path / "r.npz", idle)
+    (tmp_path / "PLATE.toml").write_text(SAID)
+    done = touchd("calibrate", "r.npz", "-o", "m.onnx", "--plate", "PLATE.toml", *option, cwd=tmp_path)
+    assert done.code == 2
+    assert f"no effect on a RECORDING: {option[0]}" in done.err
+
+
 def test_names(idle: Recording, tmp_path: Path) -> None:
     """A model's name, its folder and the recording are checked first."""
     write(tmp_path / "r.npz", idle)

@@ -289,6 +289,13 @@ def edges(rig: Rig, opened: Page) -> None:
     opened.get_by_role("button", name="1 Measures").click()
     expect(opened.locator('[name="edge.left"]')).to_have_value("tape")
     opened.locator('[name="edge.top"]').select_option("clamped")
+    opened.locator("#views a", has_text="Live").click()  # what is typed and not saved stays, in another view and
+    expect(opened.locator("[name=edge]")).to_have_count(0)
+    opened.locator("#views a", has_text="Calibrate").click()
+    opened.reload()  # after a reload
+    opened.get_by_role("button", name="1 Measures").click()
+    expect(opened.locator('[name="edge.top"]')).to_have_value("clamped")
+    expect(opened.get_by_text("Other measures were saved meanwhile")).to_be_hidden()
     opened.get_by_role("button", name="Save the measures").click()
     expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
     saved = tomllib.loads(plate_file.read_text())

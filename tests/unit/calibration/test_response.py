@@ -143,10 +143,18 @@ def test_a_turned_plate(plate: ReducedPlate, orientation: int) -> None:
     beads_m = np.where(flipped, -1, 1) * DISCS.beads_m
     other = DISCS._replace(centres_m=centres_m, beads_m=beads_m, scatterers=scatterers)
     found = []
-    for discs, edges in ((DISCS, EDGES), (other, EDGES.turned(orientation))):
+    for discs, edges in ((DISCS, EDGES), (other, EDGES.turned_back(orientation))):
         guess = Guess(plate.reference, discs, LOSS, edges)
         found.append(DiscResponse(plate, guess, NU, lines_along(plate, edges.kinds)).untouched())
     np.testing.assert_allclose(found[1], found[0], atol=1e-6 * np.abs(found[0]).max())
+
+
+def test_edges_of_a_drawing_that_is_turned() -> None:
+    """What was said of a side is true of the one that it is: x and y exchanged, the drawing's left edge is the top."""
+    drawn = EDGES._replace(kinds={"left": "tape"}, values={"left damping": 0.04})
+    sides = [next(iter(drawn.turned_back(orientation).kinds)) for orientation in range(8)]
+    assert sides == ["left", "right", "left", "right", "top", "bottom", "top", "bottom"]
+    assert drawn.turned_back(4).values == {"top damping": 0.04}
 
 
 def differences(plate: ReducedPlate, name: str, of: Discs = DISCS) -> Complex:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
+from tests.unit.calibration.plates import LAYOUT, PLATE, basis_of, elastic, exact_fit
+from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.place_correction import PlaceCorrection, Widths, correction_of, with_places
 from touchd.calibration.taps import (
     ORIENTATIONS,
@@ -17,13 +18,15 @@ from touchd.calibration.taps import (
     refine,
     taps_of,
     turned,
+    turned_back,
     turned_fit,
 )
 from touchd.errors import CalibrationError
+from touchd.frame import Plate
 from touchd.localization.atlas import Atlas, load_atlas, save_atlas
 from touchd.training.field.place import place
 from touchd.twin.instrument import Instrument
-from touchd.twin.physics.transducer import Scatterer
+from touchd.twin.physics.transducer import Layout, Scatterer
 from touchd.twin.simulate import simulate_touches
 
 SIZE_MM = (PLATE.width_mm, PLATE.height_mm)
@@ -47,7 +50,7 @@ def median_mm(atlas: Atlas, taps: Taps) -> float:
 
 def test_orientation(atlas: Atlas, exact: Taps) -> None:
     """Three taps tell which way a drawing is turned, whatever the labels' error."""
-    for orientation in range(len(ORIENTATIONS)):
+    for orientation in range(4):
         rough = roughly(exact, 2.0)
         some = Taps(turned(rough.label_mm, orientation, SIZE_MM)[:3], rough.values[:3])
         assert orientation_of(atlas, some) == orientation, ORIENTATIONS[orientation]
@@ -63,6 +66,42 @@ def test_turned_drawing(instrument: Instrument) -> None:
     carrying = replace(fit, layout=fit.layout.model_copy(update={"scatterers": (hole,)}))
     assert turned_fit(carrying, 2).layout.scatterers[0].at_mm == (30.0, SIZE_MM[1] - 20.0)
     assert turned_fit(fit, 0).reasons == fit.reasons
+
+
+SQUARE = Plate(width_mm=70, height_mm=71, thickness_mm=5)
+SQUARE_LAYOUT = Layout(emitter_mm=(20, 40), receivers_mm=((12, 12), (58, 15), (50, 60)))
+
+
+@pytest.fixture(scope="module")
+def square() -> Instrument:
+    return Instrument(SQUARE, layout=SQUARE_LAYOUT, modes=basis_of(SQUARE).loaded(elastic(SQUARE), SQUARE_LAYOUT))
+
+
+@pytest.mark.parametrize("orientation", range(8))
+def test_a_square_is_turned_back(square: Instrument, orientation: int) -> None:
+    """A square's drawing may have x and y exchanged as well: the fit of one is set right, sides and all."""
+    right, name = exact_fit(square), ("width_mm", "height_mm")
+    size_mm = right.plate.size_mm[::-1] if orientation & 4 else right.plate.size_mm
+    emitter_mm, *receivers_mm = turned(right.layout.centres_mm, orientation, size_mm).tolist()
+    places = {"emitter_mm": tuple(emitter_mm), "receivers_mm": tuple(map(tuple, receivers_mm))}
+    drawn = replace(
+        right, layout=right.layout.model_copy(update=places),
+        plate=right.plate.model_copy(update=dict(zip(name, size_mm, strict=True))),
+    )  # fmt: skip
+    mended = turned_fit(drawn, orientation)
+    np.testing.assert_allclose(mended.layout.centres_mm, right.layout.centres_mm, atol=1e-9)
+    assert mended.plate == right.plate
+    assert ORIENTATIONS[orientation] in "".join(mended.reasons)
+
+
+def test_orientation_of_a_square(square: Instrument) -> None:
+    """Three taps tell that x and y are exchanged, or that the drawing is turned by 90 degrees."""
+    fit = exact_fit(square)
+    atlas = make_physical_atlas(fit, 1e-3 * float(np.sqrt(np.square(fit.measured).mean())))
+    taps = taps_of(simulate_touches(4, seed=7, instrument=square, label_noise_mm=1.0), atlas)
+    for orientation in range(len(ORIENTATIONS)):
+        made_mm = turned_back(taps.label_mm, orientation, fit.plate.size_mm)
+        assert orientation_of(atlas, replace(taps, label_mm=made_mm)) == orientation, ORIENTATIONS[orientation]
 
 
 @pytest.mark.parametrize("dead", [True, False])

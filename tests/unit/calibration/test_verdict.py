@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.calibration.plate_fit import BONDED, Judgement, Parameter, judge
+from touchd.calibration.verdict import BONDED, Judgement, Parameter, judge
 
 PLAIN = Parameter("thickness", "mm", 5.0, 5.01, 0.005, False)
 GOOD = {
@@ -40,6 +40,7 @@ def test_bonded() -> None:
         ({"shares": np.array([1e-3, 1e-3, 3e-2, 1e-3])}, "usable", "receiver 3 does not fit"),
         ({"shares": np.array([np.nan, np.nan, np.nan, 1e-3])}, "poor", "receiver 1 is dead"),
         ({"parameters": (PLAIN._replace(fitted=5.2, at_prior=True),)}, "usable", "thickness: 5 mm was said, 5.2"),
+        ({"parameters": (Parameter("wave speed", "m/s", 5092.0, 5333.0, 9.0, True),)}, "usable", "check material and"),
         ({"scale_mm": 0.5}, "usable", "the scale is known to 0.50 mm"),
         ({"frame_noise": 0.02}, "usable", "noise of -34 dB"),
         ({"wavelength_mm": 10.8}, "usable", "waves of 11 mm are shorter than a fingertip"),
@@ -61,12 +62,21 @@ def test_noise_alone_is_not_the_pane() -> None:
     assert found.reasons == ("noise of -20 dB: raise the gain, or shield the cables",)
 
 
+def test_a_reason_that_matters() -> None:
+    """A ruler that would do is not blamed beside what is really wrong."""
+    assert judged(scale_mm=0.15).reasons == ()
+    assert judged(scale_mm=0.15, found=("glass fits, not steel",)).reasons == ("glass fits, not steel",)
+
+
 def test_sides_that_contradict_each_other() -> None:
     """A width said 2 mm too large, which only the height contradicts, is named, and the expected error has it."""
-    found = judged(contradiction=3.7, scale_mm=0.09)
-    assert (found.verdict, found.reasons) == (
-        "usable", ("width and height contradict each other: measure both again",)
-    )  # fmt: skip
+    sides = (Parameter("width", "mm", 112.0, 110.9, 0.2, True), Parameter("height", "mm", 90.0, 90.8, 0.2, True))
+    found = judged(contradiction=3.7, scale_mm=0.09, parameters=(PLAIN, *sides))
+    assert found.verdict == "usable"
+    assert found.reasons == (
+        "width and height contradict each other: with 112 mm of width 91.7 mm of height fit, with 90 mm of height "
+        "109.9 mm of width: measure both again",
+    )
     assert found.expected_mm > 3.7 * 0.09
     assert judged(contradiction=1.9).verdict == "good"
 

@@ -11,6 +11,7 @@ import os
 import subprocess
 import threading
 from collections import deque
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from touchd.child import verb
 from touchd.errors import CalibrationError, ModelMissing, PlatePoor, TouchdError, TrainingError
 from touchd.localization.atlas import atlas_path, load_atlas
 from touchd.localization.model_file import digest, install, previous_path
-from touchd.recording.format import read
+from touchd.recording.format import read, write
 from touchd.service.control import take_model
 
 LOG_LINES = 40
@@ -34,6 +35,7 @@ def fit(state: State, stop: threading.Event, progress: Progress) -> dict[str, An
 
     Raises Stopped if `stop` was set; CalibrationError if the fit failed: its error says why.
     """
+    _describe(state)
     asked = ["calibrate", str(state.untouched), "-o", str(state.model), "--plate", str(state.plate_file), "--lines"]
     if state["taps"]:
         asked += ["--taps", str(state.taps)]
@@ -41,6 +43,14 @@ def fit(state: State, stop: threading.Event, progress: Progress) -> dict[str, An
     if result and status in (0, PlatePoor.exit_code):
         return result
     raise CalibrationError(last or f"the fit ended with status {status}")
+
+
+def _describe(state: State) -> None:
+    """Have the untouched seconds say the measures of now: they are of the plate, which a corrected ruler leaves."""
+    if state.untouched.exists():
+        seconds, plate = read(state.untouched), state.said().described()
+        if seconds.meta.plate != plate:
+            write(state.untouched, replace(seconds, meta=seconds.meta.model_copy(update={"plate": plate})))
 
 
 def train(state: State, stop: threading.Event, progress: Progress) -> dict[str, Any]:

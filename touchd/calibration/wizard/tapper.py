@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.taps import FITS, Taps, turned
+from touchd.calibration.taps import FITS, Taps, orientations, turned, turned_back
 from touchd.config.schema import Settings
 from touchd.evaluation.dataset import complex_bins
 from touchd.frame import Frame
@@ -108,12 +108,12 @@ class Tapper:
         features = (mean @ self._to_bins).reshape(1, -1)
         taps = Taps(np.array([label_mm]), complex_bins(features, self._acquisition.channels))
         size_mm = self._atlas.description.plate.size_mm
-        likely = range(4) if self.orientation is None else (self.orientation,)
+        likely = orientations(size_mm) if self.orientation is None else (self.orientation,)
         placed = [place(self._atlas, taps.values, turned(taps.label_mm, k, size_mm)) for k in likely]
         least = min(float(each.misfit[0]) for each in placed)
         if least > FITS:  # from a target farther away than half a wave no step leads to the finger
             return made._replace(reason="beside" if left_anywhere(self._atlas, taps.values) < ELSEWHERE else "no_fit")
-        found = [turned(each.position_mm, k, size_mm)[0] for k, each in zip(likely, placed, strict=True)
+        found = [turned_back(each.position_mm, k, size_mm)[0] for k, each in zip(likely, placed, strict=True)
                  if each.misfit[0] < ALIKE * least]  # fmt: skip
         x_mm, y_mm = min(found, key=lambda place_mm: float(np.hypot(*(place_mm - label_mm)))).tolist()
         made = made._replace(found_mm=(round(x_mm, 2), round(y_mm, 2)))

@@ -12,6 +12,8 @@ const NUMBER = /^\s*[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?\s*$/i;
 // A number, with a decimal point or comma; NaN of a text that is not wholly one: of "11 cm" a part would be wrong.
 const numeric = text => (NUMBER.test(text) ? Number(String(text).replace(',', '.')) : NaN);
 
+const DRAFT = 'touchd-measures'; // what is typed and not saved, while this tab lives
+
 export function measures(t, save) {
   const picture = drawing(t.drawing);
   const fields = element('div', { class: 'measures' }), others = element('p', { class: 'muted', role: 'status', hidden: true }, t.others);
@@ -22,7 +24,7 @@ export function measures(t, save) {
         element('button', { type: 'button', onclick: () => change(all => all.push([10, 10])) }, t.more),
         element('button', { type: 'button', onclick: () => change(all => all.length > 1 && all.pop()) }, t.less))),
     picture.root);
-  root.addEventListener('input', event => { typed = true; check(event.target); draw(); });
+  root.addEventListener('input', event => { check(event.target); note(); draw(); });
   root.addEventListener('change', event => event.target.name === 'edge' && change(() => {}));
   let shown = null, kept = {}; // what a PLATE.toml says beyond the form
   let typed = false; // and not saved
@@ -32,6 +34,13 @@ export function measures(t, save) {
     typed = false; // the wizard's next state has it
     typed = !await save(read()) || typed;
     others.hidden ||= !typed;
+    if (!typed) sessionStorage.removeItem(DRAFT);
+  }
+
+  // Keeps what is being typed: another view, or a reload, would lose it.
+  function note() {
+    typed = true;
+    sessionStorage.setItem(DRAFT, JSON.stringify({ typed: read(text => text), shown }));
   }
 
   // The browser shows at the field what is wrong there, and submits nothing.
@@ -84,15 +93,17 @@ export function measures(t, save) {
   function change(how) {
     const now = read(text => text); // one that is no number yet stays
     how(now.discs.receivers_mm);
-    typed = true;
     fill(now);
+    note();
   }
 
   function draw() {
     picture.show(read());
   }
 
-  fill(START);
+  const draft = JSON.parse(sessionStorage.getItem(DRAFT));
+  if (draft) [typed, shown, kept] = [true, draft.shown, draft.typed];
+  fill(draft?.typed ?? START);
   // Takes what the wizard knows, once; what is being typed stays, and the person is told that others were saved.
   function show(plate) {
     const key = JSON.stringify(plate);

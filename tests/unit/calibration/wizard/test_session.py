@@ -20,6 +20,7 @@ from tests.unit.calibration.plates import PLATE
 from tests.unit.calibration.wizard.test_tapping import Plate as Tapping
 from touchd.calibration.taps import scatter_of, taps_of
 from touchd.calibration.walk import target_mm
+from touchd.calibration.wizard import models
 from touchd.calibration.wizard import state as session
 from touchd.calibration.wizard.frames import Stopped
 from touchd.calibration.wizard.state import State
@@ -27,8 +28,8 @@ from touchd.calibration.wizard.tapper import Tapped
 from touchd.errors import CalibrationError, PlateFileInvalid
 from touchd.frame import Frame, Plate
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
-from touchd.recording.data import Meta
-from touchd.recording.format import read
+from touchd.recording.data import Meta, Recording
+from touchd.recording.format import read, write
 from touchd.sources.source import Source
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
@@ -157,6 +158,20 @@ def test_corrected_plate(tmp_path: Path, changed: dict[str, object]) -> None:
     assert list(state.taps.iterdir()) == []
     take_measured(state, 2)
     assert kept(state.folder) == [2]
+
+
+def test_corrected_size_and_the_seconds_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever corrects a side by far fits again with the untouched seconds of before: they are of the same plate."""
+    state = State(tmp_path / "state")
+    state.set_plate(measures())
+    meta = META.model_copy(update={"plate": state.said().described()})
+    count = np.arange(len(FRAMES))
+    write(state.untouched, Recording(meta, FRAMES, count, 10_000_000 * count))
+    monkeypatch.setattr(models, "_run", lambda *_: (0, {"verdict": "good"}, ""))
+    state.set_plate(measures(width_mm=140.0))
+    models.fit(state, threading.Event(), lambda _share, _note: None)
+    assert read(state.untouched).meta.plate == state.said().described()
+    assert read(state.untouched).frames.shape == FRAMES.shape
 
 
 def test_corrected_edge(tmp_path: Path) -> None:
