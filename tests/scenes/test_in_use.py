@@ -100,8 +100,8 @@ def test_two_thumbs_that_press_firmly_at_once(instrument: Instrument) -> None:
     stage, starts_s = empty_stage(16.0, seed=5111000), np.arange(1.0, 15.0, 0.7).tolist()
     for start_s in starts_s:
         for column, low_mm in enumerate((20.0, 120.0)):
-            place, late_s = stage.rng.uniform((low_mm, 60), (low_mm + 60, 180)).tolist(), stage.rng.uniform(0, 0.008)
-            stage.lay("thumb", start_s + late_s, start_s + 0.35, still(*place), force_n=1.6, column=column)
+            place, after_s = stage.rng.uniform((low_mm, 60), (low_mm + 60, 180)).tolist(), stage.rng.uniform(0, 0.008)
+            stage.lay("thumb", start_s + after_s, start_s + 0.35, still(*place), force_n=1.6, column=column)
     outcome = play(stage, instrument)
     found = score(stage, outcome)
     assert (found.touches, found.missed, found.ghosts, found.split) == (40, 0, 0, 0)

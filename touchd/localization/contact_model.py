@@ -27,6 +27,8 @@ TYPICAL: Shape = (0j, 1.2 * cmath.exp(0.4j), 1.2 * cmath.exp(0.4j), 0j)
 """Of tissue, between a child's finger and a thumb: u_xx and u_yy have 0.4 to 4 mm^2 over z at 0.4 rad (twin)."""
 LARGE: Shape = (0j, 3.5 * cmath.exp(0.4j), 3.5 * cmath.exp(0.4j), 0j)
 """Of a thumb that presses."""
+LARGE_MM2 = 2.7
+"""Thumbs that press have a larger mean moment."""
 _SIZE_SPREAD_MM2, _OVAL_SPREAD_MM2, _SLOPE_SPREAD = 2.0, 1.2, 0.2
 """Standard deviations about it: of the mean of a and b, of half their difference and of c, and of the slope, over z."""
 _AMPLITUDES, _SLOPES = 5, 8

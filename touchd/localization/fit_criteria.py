@@ -16,6 +16,8 @@ class FitCriteria:
     """Complete: the field is not known better than this."""
     good: float = 0.03
     """The positions are right: fingers unlike those of the training leave up to this much."""
+    good_of_thumbs: float = 0.06
+    """The same of one or two thumbs that press: their shapes leave more."""
     search_above: float = 0.015
     """More than this calls for a search for further fingers."""
     fair: float = 0.1

@@ -18,7 +18,7 @@ import math
 from operator import mul
 from statistics import fmean as mean
 
-from touchd.localization.contact_model import mean_moment_mm2
+from touchd.localization.contact_model import LARGE_MM2, mean_moment_mm2
 from touchd.localization.fit import Fit
 from touchd.localization.spline import Position
 from touchd.touch import PalmArea
@@ -26,7 +26,7 @@ from touchd.touch import PalmArea
 CONTACTS, MOMENT_MM2, SIZE = 3, 4.2, 2.0
 """One of so many contacts has a larger mean second moment over z: of more than 175 mm^2. Of amplitudes below this, as
 of dry glass where a drop was learned, the shape is noise."""
-LARGE_MM2, LARGE_SIZE, LARGE_TOGETHER, UNLIKE = 2.7, 13.0, 22.0, 0.04
+LARGE_SIZE, LARGE_TOGETHER, UNLIKE = 13.0, 22.0, 0.04
 """Or one as large as a thumb has such an amplitude, or several together, and the fit leaves such a share, ..."""
 UNLIKE_ALONE = 0.1
 """... of one alone, or of two farther apart than heels are, this share: thumbs that press leave nearly as much, ..."""

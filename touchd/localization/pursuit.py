@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from itertools import combinations, starmap
-from operator import attrgetter, itemgetter
+from operator import attrgetter, itemgetter, mul
 
 import numpy as np
 from msgspec.structs import replace
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.contact_model import TYPICAL, radius_mm
+from touchd.localization.contact_model import LARGE_MM2, TYPICAL, mean_moment_mm2, radius_mm
 from touchd.localization.fit import REST_COST, SCAN_COST, SHAPE_COST, Bins, Fit, Steps, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
@@ -37,9 +37,9 @@ _FOLLOWED = 0.75
 _MOVED = 0.9
 """A finger goes to another place if that leaves less than this share."""
 _FIRST_STEPS, _NEXT_STEPS, _STEPS = 1, 2, 4
-_LEAST_GAIN = 0.25
+_LEAST_GAIN, _THUMBS_GAIN = 0.25, 0.35
 """A missing finger explains this share of what a good fit without it leaves, after its first step. One of five explains
-0.31 or more, none 0.12 to 0.6 (twin)."""
+0.31 or more, none 0.12 to 0.6 (twin). Beside thumbs that press it explains more, and none up to 0.3."""
 
 
 class Pursuit:
@@ -92,9 +92,9 @@ class Pursuit:
         """
         solver, limit = self.solver, CRITERIA
         signal = max(bins.energy - noise_energy, 0.0)
-        enough, suspicious, good, fair = (
+        enough, suspicious, good, good_of_thumbs, fair = (
             noise_energy * (1 + limit.noise_margin) + share * signal
-            for share in (limit.enough, limit.search_above, limit.good, limit.fair)
+            for share in (limit.enough, limit.search_above, limit.good, limit.good_of_thumbs, limit.fair)
         )
         # Shapes that were fitted in an earlier frame leave more than those of this one.
         anew = solver.fit_shapes(bins, fit, noise_energy, _NEXT_STEPS) if fit.shapes else fit
@@ -105,13 +105,14 @@ class Pursuit:
             beam, in_vain, deepest = [fit], 0, None
             while beam and _may_grow(beam[0], enough):
                 more = []
+                well, gain = (good_of_thumbs, _THUMBS_GAIN) if _are_thumbs(best) else (good, _LEAST_GAIN)
                 for one in beam:
                     score = self._scan(solver.residual(bins, one))
                     yield REST_COST + SCAN_COST
                     seen = score.max() / max(one.residual_energy, 1e-30)
                     if fit.positions_mm and one is fit and fit.residual_energy < fair and not seen > limit.seen:
                         return fit
-                    if one is best and one is not fit and one.residual_energy < good and not seen > limit.seen_beside:
+                    if one is best and one is not fit and one.residual_energy < well and not seen > limit.seen_beside:
                         return best
                     for candidate_mm in self._best(score, _CANDIDATES, _CLOSE):
                         shapes = [*shapes_of(one), TYPICAL] if one.shapes else ()
@@ -119,7 +120,7 @@ class Pursuit:
                         more.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=shapes))
                         yield _cost(positions_mm, _FIRST_STEPS)
                 more.sort(key=attrgetter("residual_energy"))
-                if beam[0] is best and best.residual_energy < good and _gain(more, best, noise_energy) < _LEAST_GAIN:
+                if beam[0] is best and best.residual_energy < well and _gain(more, best, noise_energy) < gain:
                     return best
                 more = _different([one for one in more if not are_merged(one)])[:width]
                 beam = []
@@ -273,6 +274,14 @@ def _gain(more: list[Fit], fit: Fit, noise_energy: float) -> float:
 def _cost(positions_mm: list[Position], steps: int) -> float:
     """Return the cost of a fit of several, in look-ups: one a finger and step, and one where they end."""
     return float(len(positions_mm) * (steps + 1))
+
+
+def _are_thumbs(fit: Fit) -> bool:
+    """Return whether a fit is of one or two thumbs that press."""
+    if not 0 < len(fit.shapes) <= 2:
+        return False
+    weighed: float = sum(map(mul, fit.energies, map(mean_moment_mm2, fit.amplitudes, fit.shapes)))
+    return weighed > LARGE_MM2 * sum(fit.energies)
 
 
 def _different(fits: list[Fit]) -> list[Fit]:

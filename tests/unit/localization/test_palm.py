@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from touchd.localization.contact_model import LARGE_MM2
 from touchd.localization.fit import Fit, no_fit
 from touchd.localization.palm import (
     EVERYWHERE,
@@ -12,7 +13,6 @@ from touchd.localization.palm import (
     GONE_NS,
     HUGE_SIZE,
     LANDS_NS,
-    LARGE_MM2,
     LARGE_SIZE,
     LARGE_TOGETHER,
     LOST_NS,
@@ -56,6 +56,7 @@ def seen(fit: Fit, excess: float, between: tuple[tuple[Fit, float], ...] = ()) -
 
 HUGE = fit_of({HEEL: 1.2 * MOMENT_MM2, BALL: 2.0, NEAR: 2.0}, 10.0)
 THUMBS = fit_of({HEEL: 1.2 * LARGE_MM2, BALL: 1.2 * LARGE_MM2}, 0.6 * LARGE_TOGETHER)
+APART = fit_of({FAR: 1.2 * LARGE_MM2, NEAR: 1.2 * LARGE_MM2}, 0.6 * LARGE_TOGETHER)
 SMALLER = fit_of({HEEL: 0.9 * LARGE_MM2, BALL: 0.9 * LARGE_MM2}, LARGE_TOGETHER)
 WELL, BADLY = 0.9 * UNLIKE, 1.1 * UNLIKE
 
@@ -73,6 +74,7 @@ def point(size: float) -> Fit:
         (fit_of({HEEL: 2.0, BALL: 2.0, NEAR: 2.0}, 0.9 * HUGE_SIZE), 0.0, False),
         (fit_of({HEEL: 1.2 * MOMENT_MM2, BALL: 2.0, NEAR: 2.0}, 0.95 * SIZE), BADLY, False),
         (THUMBS, BADLY, True), (THUMBS, WELL, False), (SMALLER, BADLY, False),
+        (APART, BADLY, False), (APART, 0.9 * UNLIKE_ALONE, False), (APART, 1.1 * UNLIKE_ALONE, True),
         (fit_of({HEEL: 1.2 * LARGE_MM2}, 1.1 * LARGE_SIZE), 1.1 * UNLIKE_ALONE, True),
         (fit_of({HEEL: 1.2 * LARGE_MM2}, 1.1 * LARGE_SIZE), 0.9 * UNLIKE_ALONE, False),
         (fit_of({HEEL: 1.2 * LARGE_MM2}, 0.9 * LARGE_SIZE), 1.1 * UNLIKE_ALONE, False),
@@ -83,7 +85,8 @@ def point(size: float) -> Fit:
 def test_hand(fit: Fit, excess: float, is_palm: bool) -> None:
     """What is larger than a thumb, looks like thumbs that explain too little, or explains next to nothing.
 
-    Two contacts alone are none, nor are faint ones, whose shapes are noise: two drops once hid fingers. It takes 50 ms.
+    Two contacts alone are none, nor are two thumbs farther apart than heels are, nor faint ones, whose shapes are
+    noise: two drops once hid fingers. It takes 50 ms.
     """
     _, after_ns = seen(fit, excess)
     assert (after_ns is not None) is is_palm
