@@ -43,8 +43,8 @@ _LACKS = 1.5
 """Fingers are kept without which this many times as much would be left, if no more were found."""
 _LIKE, _PATIENT_FRAMES = 0.95, 5
 """So it does if less than this share of the signal is along the first frame's so many frames later: that one was
-measured while they came, and what is found in it is of no use. If the next frame was unlike it already, it begins again
-with one that is like the frame before: they have come."""
+measured while they came, and what is found in it is of no use. If the next frame was unlike it already, a search begins
+again with one that is like the frame before, as they have come: beside others after so many frames."""
 _LANDED = 0.05
 """Others have landed during a search if what it has found leaves more than this share. Of five that move 13 contacts in
 750 break with 0.1, 1 with 0.05; with 0.015 taps between drops are missed (twin)."""
@@ -160,12 +160,14 @@ class MultitouchSearch:
             Whether the search may go on in later frames; if not, it runs to its end now.
         """
         begin, grow, count = fit, tracked, len(fit.positions_mm)
-        if not tracked and self._is_outdated(bins, signal):
+        if tracked is not self._tracked:
             self._running = None
-            if self._grown:  # what it has found has become stronger
+        elif self._is_outdated(bins, signal):
+            self._running = None
+            if tracked and not fit.fisher_information:  # fingers that wait are not fitted
+                begin = self.count.again(bins, list(fit.positions_mm), fit)
+            elif not tracked and self._grown:  # what it has found has become stronger
                 begin, grow = self.count.again(bins, self._grown.positions_mm, self._grown), True
-        elif tracked is not self._tracked:
-            self._running = None
         fresh = self._running is None
         running = self._running or self._begin(bins, begin, signal, tracked=tracked, grow=grow)
         allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
@@ -228,13 +230,14 @@ class MultitouchSearch:
         """Return whether the search that goes on, if any, began with a frame unlike this one, noise apart."""
         if self._running is None or self._first is None or self._ends:
             return False
-        if signal > _OUTDATED * self._begun:
-            return True
         last, first = self._last, (self._first.vector, self._begun)
         unlike = not _alike(first, now := (bins.vector, signal))
         if last or (unlike and self._frames == 1):
             self._last = bins.vector.copy(), signal
-        return unlike and (self._frames >= _PATIENT_FRAMES or (last is not None and _alike(last, now)))
+        have_come, patient = last is not None and _alike(last, now), self._frames < _PATIENT_FRAMES
+        if self._tracked:
+            return unlike and have_come and not patient
+        return signal > _OUTDATED * self._begun or (unlike and (have_come or not patient))
 
     def _allowance(self, fit: Fit, *, landing: bool) -> float:
         """Return how many look-ups the search may take in this frame; what was fitted in it has taken some of them."""
