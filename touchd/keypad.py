@@ -73,14 +73,14 @@ class Layout(BaseModel):
         return None
 
 
-def load_layout(path: Path, plate: Plate | None = None) -> Layout:
-    """Return the layout of a TOML file with one `[[key]]` table a key.
+def load_layout(path: Path, plate: Plate | None = None, named_by: str = "the path and its permissions") -> Layout:
+    """Return the layout of a TOML file with one `[[key]]` table a key; `named_by` is what to check if there is none.
 
     Raises ConfigError if the file cannot be read or is no such layout: keys have different names, do not overlap, and
     lie on the plate if one is given.
     """
     try:
-        layout = Layout.model_validate(read_toml(path, ConfigError))
+        layout = Layout.model_validate(read_toml(path, ConfigError, f"check {named_by}"))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

@@ -42,7 +42,7 @@ def _check_keys(settings: Settings) -> None:
 
     model = None if is_missing(settings.model.path or installed_path()) else load_model(settings)
     if settings.keypad.layout is not None:
-        load_layout(settings.keypad.layout, model.description.plate if model else None)
+        load_layout(settings.keypad.layout, model.description.plate if model else None, "keypad.layout")
     elif model is not None and model.description.layout is None:
         raise ConfigError("there are no keys to type", "input.keypad", "set keypad.layout")
 

@@ -168,8 +168,10 @@ class MultitouchSearch:
                 begin = self.count.again(bins, list(fit.positions_mm), fit)
             elif not tracked and self._grown:  # what it has found has become stronger
                 begin, grow = self.count.again(bins, self._grown.positions_mm, self._grown), True
-        fresh = self._running is None
+        fresh, waiting_ns = self._running is None, self._waiting_ns
         running = self._running or self._begin(bins, begin, signal, tracked=tracked, grow=grow)
+        if begin is not fit:  # it begins again: fingers wait no longer for that
+            self._waiting_ns = waiting_ns
         allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
         self._credit = min(self._credit, 0.0) + allowance  # what the last frame has left is none of this one
         self._frames += 1

@@ -54,7 +54,7 @@ def layout_of(settings: Settings, model: Model | None) -> Layout | None:
         return None  # keys lie on a plate that a model knows
     if settings.keypad.layout is None:
         return model.description.layout
-    return load_layout(settings.keypad.layout, model.description.plate)
+    return load_layout(settings.keypad.layout, model.description.plate, "keypad.layout")
 
 
 def is_current(model: Model, settings: Settings) -> bool:
