@@ -191,7 +191,8 @@ class MultitouchSearch:
         if not fresh:
             found, known = self._as_of_now(bins, found, known, fit, signal)
             left = max(self._noise.excess(found.residual_energy, signal), 0.0)
-            missing = left > _LANDED or min(found.energies, default=math.inf) < CRITERIA.weak * left * signal
+            weak = min(found.energies, default=math.inf) < CRITERIA.weak * left * signal
+            missing = left > _LANDED or (weak and left > CRITERIA.good)
             before = len(self._grown.positions_mm) if self._grown else 0
             if missing and limited and len(found.positions_mm) > max(known, before):
                 # Others have landed meanwhile: from here on they are searched in this frame.
