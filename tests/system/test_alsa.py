@@ -130,7 +130,7 @@ class Driver:
     def __init__(self, **asked: object) -> None:
         if isinstance(refusal := self.said.get("open"), Exception):
             raise refusal
-        if asked["format"] in (self.said.get("too wide") or ()):  # type: ignore[operator]
+        if asked["format"] in (self.said.get("too wide") or ()):  # type: ignore[operator]  # of objects
             raise alsaaudio.ALSAAudioError("No space left on device [hw:CARD=U18]")
         self._asked = asked
         self._ready = os.eventfd(1)

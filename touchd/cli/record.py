@@ -165,7 +165,7 @@ def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes:
     return describe_source(source, plate, rate_hz, kind, notes)
 
 
-def until(stop: Event, source: Source, on_return: Callable[[], object] = str) -> Iterator[Frame | None]:
+def until(stop: Event, source: Source, on_return: Callable[[], object] = lambda: None) -> Iterator[Frame | None]:
     """Yield a source's frames until a signal; report what becomes of the device, call `on_return` if it was away."""
     away = False
 

@@ -170,7 +170,7 @@ class MultitouchSearch:
                 begin, grow = self.count.again(bins, self._grown.positions_mm, self._grown), True
         fresh, waiting_ns = self._running is None, self._waiting_ns
         running = self._running or self._begin(bins, begin, signal, tracked=tracked, grow=grow)
-        if begin is not fit:  # it begins again: fingers wait no longer for that
+        if begin is not fit:  # it begins again: fingers wait no longer for it
             self._waiting_ns = waiting_ns
         allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
         self._credit = min(self._credit, 0.0) + allowance  # what the last frame has left is none of this one
@@ -231,7 +231,7 @@ class MultitouchSearch:
         return self._running
 
     def _is_outdated(self, bins: Bins, signal: float) -> bool:
-        """Return whether the search that goes on, if any, began with a frame unlike this one, noise apart."""
+        """Return whether the search that goes on, if any, began with a frame unlike this one; keep this one."""
         if self._running is None or self._first is None or self._ends:
             return False
         last, first = self._last, (self._first.vector, self._begun)

@@ -36,7 +36,7 @@ _FOLLOWED = 0.75
 """Followed contacts are one from this share of those distances: no error of fingers' sizes is so large."""
 _MOVED = 0.9
 """A finger goes to another place if that leaves less than this share."""
-_FIRST_STEPS, _NEXT_STEPS, _STEPS = 1, 2, 4
+_FIRST_STEPS, _POINT_STEPS, _STEPS = 1, 2, 4
 _LEAST_GAIN, _THUMBS_GAIN = 0.25, 0.35
 """A missing finger explains this share of what a good fit without it leaves, after its first step. One of five explains
 0.31 or more, none 0.12 to 0.6 (twin). Beside thumbs that press it explains more, and none up to 0.3."""
@@ -97,8 +97,8 @@ class Pursuit:
             for share in (limit.enough, limit.search_above, limit.good, limit.good_of_thumbs, limit.fair)
         )
         # Shapes that were fitted in an earlier frame leave more than those of this one.
-        anew = solver.fit_shapes(bins, fit, noise_energy, _NEXT_STEPS) if fit.shapes else fit
-        yield SHAPE_COST * _NEXT_STEPS * len(fit.shapes)
+        anew = solver.fit_shapes(bins, fit, noise_energy, _POINT_STEPS) if fit.shapes else fit
+        yield SHAPE_COST * _POINT_STEPS * len(fit.shapes)
         shaped_energy = min(anew.residual_energy, fit.residual_energy)
         best = fit
         for width in _WIDTHS:
@@ -125,8 +125,8 @@ class Pursuit:
                 more = _different([one for one in more if not are_merged(one)])[:width]
                 beam = []
                 for one in more:
-                    points = solver.fit_several(bins, one.positions_mm, _NEXT_STEPS)
-                    yield _cost(one.positions_mm, _NEXT_STEPS)
+                    points = solver.fit_several(bins, one.positions_mm, _POINT_STEPS)
+                    yield _cost(one.positions_mm, _POINT_STEPS)
                     shaped = yield from solver.shape_pieces(bins, points, noise_energy, lacking=True)
                     if shaped.shapes and one.residual_energy < shaped.points_energy:
                         shaped = replace(shaped, points_energy=one.residual_energy)

@@ -51,7 +51,7 @@ def _redact(key: object, value: Any) -> Any:
 class _Unfailing:
     """A text stream that drops a line it cannot write at once.
 
-    Neither a full disk nor a pipe or terminal that nobody reads may hold the daemon up.
+    Neither a full disk nor a pipe or terminal that is not read may hold the daemon up.
     """
 
     def __init__(self, stream: TextIO) -> None:

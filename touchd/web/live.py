@@ -43,7 +43,7 @@ async def _live(site: Site, socket: WebSocket) -> None:
                 await socket.close(_NOT_UNDERSTOOD)
                 return
             site.hub.ask(client, topics)
-            await asyncio.sleep(PERIOD_S)  # nobody changes views faster
+            await asyncio.sleep(PERIOD_S)  # faster than a person changes views
     finally:
         site.hub.leave(client)
         sender.cancel()

@@ -266,7 +266,7 @@ def test_flood(address: str) -> None:
         while len(poll.poll(0)) < 150:
             assert time.monotonic() < until_s
             assert len(os.listdir(f"/proc/{server.process.pid}/fd")) < 450
-            time.sleep(0.01)
+            time.sleep(0.01)  # the server takes them one after the other
         assert server.process.poll() is None
 
 

@@ -1,4 +1,4 @@
-"""The verbs of bridges serve touches, whatever becomes of what they print."""
+"""Bridges serve touches also where what they print cannot be written."""
 
 from __future__ import annotations
 

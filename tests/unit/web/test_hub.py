@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from contextlib import closing
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, closing
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -129,24 +130,31 @@ def test_turned_into_a_keypad(hub: Hub) -> None:
     assert "touch" not in [message["type"] for message in handed(hub, waiting)]
 
 
+@asynccontextmanager
+async def started(address: str) -> AsyncIterator[tuple[Hub, zmq.Socket[bytes]]]:
+    """A hub that listens to a daemon's socket, and stops at the end."""
+    hub = Hub(address)
+    with zmq.Context() as context, context.socket(zmq.XPUB) as daemon:
+        daemon.bind(address)
+        hub.start()
+        for _ in TOPICS:
+            await asyncio.to_thread(daemon.recv)
+        yield hub, daemon
+        await asyncio.to_thread(hub.stop)
+
+
 def test_a_daemon_that_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a daemon that was killed with a finger down, a page that opens later shows neither finger nor truth."""
     monkeypatch.setattr(stream, "SILENCE_NS", 0)
 
     async def told() -> list[dict[str, Any]]:
-        hub = Hub(f"ipc://{tmp_path}/bus")
-        with zmq.Context() as context, context.socket(zmq.XPUB) as daemon:
-            daemon.bind(f"ipc://{tmp_path}/bus")
-            hub.start()
-            for _ in TOPICS:
-                await asyncio.to_thread(daemon.recv)
+        async with started(f"ipc://{tmp_path}/bus") as (hub, daemon):
             for event in (plate(), touch(contact(1, "down", 5.0, 5.0)), TruthEvent("p", 1, 1, "", 1, [(5.0, 5.0)])):
                 daemon.send_multipart([event.type.encode(), encode(event)])
             page = joined(hub)
             await page.wake.wait()
             while b'"contacts":[]' not in (hub.last("touch") or b""):
                 await asyncio.sleep(0.01)
-            await asyncio.to_thread(hub.stop)
         return handed(hub, joined(hub))
 
     messages = asyncio.run(asyncio.wait_for(told(), 60))
@@ -167,18 +175,12 @@ def test_a_daemon_that_is_newer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("touchd.sinks.throttle.PERIOD_S", 60.0)
 
     async def hear() -> None:
-        hub = Hub(f"ipc://{tmp_path}/bus")
-        with zmq.Context() as context, context.socket(zmq.XPUB) as daemon:
-            daemon.bind(f"ipc://{tmp_path}/bus")
-            hub.start()
-            for _ in TOPICS:
-                await asyncio.to_thread(daemon.recv)
+        async with started(f"ipc://{tmp_path}/bus") as (hub, daemon):
             for _ in range(10):
                 daemon.send_multipart([b"health", b'{"v":2}'])
             daemon.send_multipart([b"health", encode(health("streaming"))])
             while hub.silent_s is None:
                 await asyncio.sleep(0.01)
-            await asyncio.to_thread(hub.stop)
 
     with capture_logs() as log:
         asyncio.run(asyncio.wait_for(hear(), 60))
