@@ -7,7 +7,7 @@ baseline is frozen and the plate drifts on. `Drift` follows the few directions i
 
 A disc and its bond age: gain and phase of a channel then tilt along the band, as the untouched plate shows, too. Cables
 that run side by side bring the drive itself into the channels, unstretched, and more or less of it once somebody has
-moved them. What may be drive tells nothing of the plate.
+moved them, or has brought a hand near them. What may be drive tells nothing of the plate.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class Drift:
         self._plain = atlas.description.to_bins
         self._description, self._weights = atlas.description, np.tile(atlas.description.bin_weights, 2)
         self._expansions: dict[float, Expansion] = {}
-        drive = np.linalg.qr((drive_waves(a) @ self._plain).T)[0].T
-        self._drive: Floats = drive
+        self._waves = drive_waves(a)
+        self._drive: Floats = np.linalg.qr((self._waves @ self._plain).T)[0].T
         """Orthonormal directions in which the drive can move a channel, shape (4, 2 * bins)."""
         self._reference = atlas.baseline.astype(np.float64)
         self._known = self._plate_energy(self._reference)
@@ -83,7 +83,7 @@ class Drift:
         """What undoes the gains: each part's factors, and those of the other part, shape (2, channels, 2, bins)."""
         self._crossed: Array = np.zeros((a.channels, 2, len(bins)), self._dtype)
         self.directions: Array = np.zeros((0, self._size), self._dtype)
-        """Orthonormal directions in which the untouched plate can move, shape (up to 2 + channels, size)."""
+        """Orthonormal directions in which the untouched plate can move, shape (up to 2 + 5 * channels, size)."""
         self._along = np.zeros(0, self._dtype)
         self._step = np.zeros(0, self._dtype)
         self._drifted = np.zeros(self._size, self._dtype)
@@ -237,7 +237,8 @@ class Drift:
         self.signal_energy = max(float(np.square(bins).sum()), 1.0)
         bins[self.dead] = stretched[self.dead] = 0.0
         self.delay = delayed(bins, self._omega_rad_s).ravel()
-        directions = plate_directions(bins, stretched, self._omega_rad_s)
+        drive = _to_parts(_to_complex(self._waves @ self.matrix) / self.gains[:, None])
+        directions = plate_directions(bins, stretched, self._omega_rad_s, drive)
         self.directions = directions.astype(self._dtype)
         self._along = np.zeros(len(directions), self._dtype)
         self._step = np.zeros_like(self._along)

@@ -1,4 +1,4 @@
-"""How the untouched plate's signal changes: with temperature, with the trigger, with gains, with cables.
+"""How the untouched plate's signal changes: with temperature, with the trigger, with gains, with cables and bodies.
 
 A plate that warms gets slower, by the same share at every frequency: what it answered to an impulse at t it now answers
 at t (1 - s). The chirp that it is struck with stays as it was. So the part of the signal of the frequency f, emitted at
@@ -93,8 +93,10 @@ def delayed(bins: Floats, omega_rad_s: Floats) -> Floats:
     return np.concatenate([omega_rad_s * bins[:, count:], -omega_rad_s * bins[:, :count]], axis=1)
 
 
-def plate_directions(bins: Floats, stretched: Floats, omega_rad_s: Floats) -> Floats:
-    """Return the orthonormal directions in which the untouched plate can move: stretch, delay, and each gain.
+def plate_directions(bins: Floats, stretched: Floats, omega_rad_s: Floats, drive: Floats | None = None) -> Floats:
+    """Return the orthonormal directions in which the untouched plate can move: stretch, delay, and in each channel.
+
+    There its gain changes, and how much of the drive it hears: a hand near the cables couples it, touching or not.
 
     Parameters
     ----------
@@ -103,13 +105,17 @@ def plate_directions(bins: Floats, stretched: Floats, omega_rad_s: Floats) -> Fl
     stretched : array of the same shape
         Their derivative by a stretch.
     omega_rad_s : array of shape (bins,)
+    drive : array of shape (channels, k, 2 * bins), optional
+        What each channel may hear of the drive.
 
     Returns
     -------
-    array of shape (up to 2 + channels, channels * 2 * bins), without rows on a rig that hears nothing.
+    array of shape (up to 2 + (k + 1) * channels, channels * 2 * bins), without rows on a rig that hears nothing.
     """
     rows = [stretched, delayed(bins, omega_rad_s)]
-    rows += [np.where(np.arange(len(bins))[:, None] == r, bins, 0.0) for r in np.flatnonzero(bins.any(axis=1))]
+    for channel in np.flatnonzero(bins.any(axis=1)):
+        own = bins[channel, None] if drive is None else np.concatenate([bins[channel, None], drive[channel]])
+        rows += list(np.where(np.arange(len(bins))[:, None] == channel, own[:, None], 0.0))
     table = np.stack([row.ravel() for row in rows])
     norm = np.linalg.norm(table, axis=1, keepdims=True)
     if not (norm > 0).all():

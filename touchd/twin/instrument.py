@@ -205,23 +205,27 @@ class Instrument:
         ]
         self._untouched = np.stack(orders)
         if len(feedthrough):
-            self._untouched += self._driven(feedthrough, len(orders))[:, None]
+            self._untouched += self.driven(feedthrough, len(orders))[:, None]
         self.peak = float(np.abs(self.untouched([REFERENCE_C])).max())
         """Peak of the untouched plate at the reference temperature, from which signals are counted."""
         if not self.peak > 0:
             raise SimulationError(f"{a.samples} samples hear nothing of the chirp", "acquisition", "take longer frames")
         self._untouched /= self.peak
 
-    def _driven(self, feedthrough: Sequence[tuple[float, float]], count: int) -> Floats:
+    def driven(
+        self, feedthrough: Sequence[tuple[float, float]], count: int = 1, poles_hz: ArrayLike = np.inf
+    ) -> Floats:
         """Return what receivers hear of the drive, and its first time derivatives over factorials, (count, R, S).
 
         Common wires pass it on as it is, a capacitance its derivative; neither knows the plate's temperature.
+        `poles_hz`, of shape (R,), bends it along the band.
         """
         a, nu = self.acquisition, self.response.nu_rad_s
         db, deg = np.array(feedthrough).T
         as_is, rising = np.cos(np.radians(deg)), np.sin(np.radians(deg))
         played = a.chirp.spectrum(nu) * anti_alias(nu, a.sample_rate_hz)
         waves = (as_is[:, None] + 1j * rising[:, None] * nu / (np.pi * sum(a.chirp.band_hz))) * played
+        waves /= 1 + 1j * nu / (2 * np.pi * np.reshape(poles_hz, (-1, 1)))
         moments = np.stack([waves * (1j * nu) ** k / math.factorial(k) for k in range(count)])
         signals = self._to_time(moments, np.ones(count), np.zeros(count))
         heard = np.linalg.norm(self.untouched([REFERENCE_C])[0], axis=1) / np.linalg.norm(signals[0], axis=1)

@@ -19,6 +19,7 @@ from touchd.jobs import Job, run
 from touchd.recording.data import Device, Meta, Recording
 from touchd.twin.electronics import Digitiser, Electronics, noise_states
 from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.body import Coupled
 from touchd.twin.physics.film import Wetted
 from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.friction import Friction
@@ -69,9 +70,11 @@ def stream(
     time_s, a = stage.time_s, instrument.acquisition
     ringings = [Ringing(instrument, knock) for knock in stage.knocks]
     rubs = [Friction(instrument, rub, [*np.atleast_1d(seed), k]) for k, rub in enumerate(stage.rubs)]
-    beside: list[Heard | Wetted] = [Heard(instrument, pane, stage.rate_hz) for pane in stage.other_panes]
+    beside: list[Heard | Wetted | Coupled] = [Heard(instrument, pane, stage.rate_hz) for pane in stage.other_panes]
     for k, film in enumerate(stage.films, len(rubs)):
         beside.append(Wetted(instrument, film, [*np.atleast_1d(seed), k]))
+    for k, body in enumerate(stage.bodies, len(rubs) + len(stage.films)):
+        beside.append(Coupled(instrument, body, [*np.atleast_1d(seed), k]))
     # In steady state a frame is the mean of all chirps up to the next one.
     starts_s = np.arange(max(round(1 / (stage.rate_hz * (a.chirp.period_s or np.inf))), 1)) * (a.chirp.period_s or 0.0)
     sample_s = starts_s[:, None] + np.arange(a.samples) / a.sample_rate_hz

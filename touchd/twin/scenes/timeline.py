@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
+from touchd.twin.physics.body import Body
 from touchd.twin.physics.film import Film
 from touchd.twin.physics.finger import TISSUES, Contact, area_of, force_of, is_compliant
 from touchd.twin.physics.friction import Rub
@@ -68,6 +69,7 @@ class Stage:
     rubs: list[Rub] = field(default_factory=list)
     other_panes: list[OtherPane] = field(default_factory=list)
     films: list[Film] = field(default_factory=list)
+    bodies: list[Body] = field(default_factory=list)
     label_error_mm: Floats | None = None
     """Label error, shape (n, k, 2)."""
 
