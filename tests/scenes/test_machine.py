@@ -1,4 +1,4 @@
-"""A plate in the world hums, is knocked on and hears another pane: none hides a touch, nor lifts a resting finger."""
+"""A plate in the world hums, is knocked on, hears another pane and a hand: none hides a touch, nor lifts a finger."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from touchd.keypad import PHONE, load_layout
 from touchd.localization.model import Model
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics.body import Body
 from touchd.twin.physics.film import Film
 from touchd.twin.physics.friction import Rub
 from touchd.twin.physics.knock import Knock
@@ -31,10 +32,14 @@ def mains(level_db: float) -> tuple[Tone, ...]:
     return tuple(Tone(50.0 * n, level_db - 6 * (n - 1)) for n in (1, 3, 5))
 
 
-def taps(stage: Stage, finger: str, start_s: float, stop_s: float) -> None:
+def taps(stage: Stage, finger: str, start_s: float, stop_s: float) -> list[tuple[float, float]]:
+    """Tap anywhere; return when each tap began and ended."""
+    times = []
     while start_s + 0.25 < stop_s:
         stage.lay(finger, start_s, start_s + 0.25, still(*stage.rng.uniform(14, 186, 2)), force_n=0.4)
+        times.append((start_s, start_s + 0.25))
         start_s += stage.rng.uniform(0.4, 0.6)
+    return times
 
 
 @pytest.mark.parametrize("finger", ["fingertip", "glove"])
@@ -135,6 +140,26 @@ def test_a_finger_that_sounds_as_it_slides_is_followed(seed: int, instrument: In
     assert (found.missed, found.split, found.ghosts) == (0, 0, 0)
     assert len(off_mm) > 100
     assert np.percentile(off_mm, 95) < 1.0
+
+
+@pytest.mark.parametrize(("finger", "level_db"), [("fingertip", -30.0), ("glove", -45.0)])
+def test_a_hand_that_couples_the_drive_hides_no_touch(finger: str, level_db: float, instrument: Instrument) -> None:
+    """Into the receivers' cables, as it comes and goes, and sways. It once hid all taps of both."""
+    stage = empty_stage(8.0, seed=6003000)
+    stage.bodies.append(Body(tuple(taps(stage, finger, 1.0, 7.5)), level_db))
+    found = score(stage, play(stage, instrument))
+    assert found.touches > 10
+    assert (found.missed, found.ghosts, found.split) == (0, 0, 0)
+    assert np.median(np.hypot(*found.error_mm.T)) < 0.2
+
+
+def test_a_hand_over_the_plate_is_no_touch(instrument: Instrument) -> None:
+    """It couples the drive into the cables; nor does it lift a finger of another hand."""
+    stage = empty_stage(8.0, seed=6003001)
+    stage.bodies += [Body(((1.0, 2.0), (5.0, 6.0)), -30.0), Body(((3.0, 7.5),), -45.0)]
+    stage.lay("fingertip", 3.0, 7.5, still(70.0, 120.0), force_n=0.5)
+    found = score(stage, play(stage, instrument))
+    assert (found.touches, found.missed, found.ghosts, found.split) == (1, 0, 0, 0)
 
 
 def test_taps_after_a_damp_cloth(instrument: Instrument) -> None:
@@ -253,4 +278,13 @@ def test_an_audio_interface_tells_another_pane(interface: tuple[Instrument, Mode
     taps(stage, "fingertip", 6.0, 9.5)
     found = score(stage, play(stage, instrument, model=model))
     assert found.touches > 4
+    assert (found.missed, found.ghosts, found.split) == (0, 0, 0)
+
+
+def test_a_hand_near_an_audio_interface_s_cables(interface: tuple[Instrument, Model]) -> None:
+    instrument, model = interface
+    stage = empty_stage(6.0, seed=6003002)
+    stage.bodies.append(Body(tuple(taps(stage, "fingertip", 1.0, 5.5)), -30.0))
+    found = score(stage, play(stage, instrument, model=model))
+    assert found.touches > 6
     assert (found.missed, found.ghosts, found.split) == (0, 0, 0)

@@ -135,10 +135,15 @@ def test_correction(stretch: float, gains: list[float], seed: int) -> None:
 
 
 def test_plate_directions() -> None:
-    """A steady change along stretch, delay and gains is followed; across them nothing is."""
-    drift = after(untouched())
-    gain = np.array([0.01, -0.02, 0.015, 0.005])[:, None]
-    drifted = untouched(2e-5, 1e-9) * (1 + gain) - untouched()
+    """A steady change along stretch, delay, gains and what channels hear of the drive is followed; across it nothing.
+
+    Also where channels have other gains than in training.
+    """
+    amplified = np.array([1.2, 0.8, 1.1, 1.0])[:, None]
+    drift = after(amplified * untouched())
+    gain = amplified * (1 + np.array([0.01, -0.02, 0.015, 0.005])[:, None])
+    mixed = np.random.default_rng(3).standard_normal((4, 4)) @ drive_waves(RIG)
+    drifted = gain * untouched(2e-5, 1e-9) - amplified * untouched() + 20 * mixed
     before = np.linalg.norm(corrected(drift, drifted))
     for i in range(round(5 * FOLLOW_S / 0.04)):
         drift.update(corrected(drift, drifted), i * 40_000_000)
@@ -150,7 +155,7 @@ def test_plate_directions() -> None:
     for i in range(100):
         drift.update(corrected(drift, noise), i * 40_000_000)
     across = corrected(drift, noise)
-    assert np.linalg.norm(across) > 0.9 * np.linalg.norm(first), "six of 120 directions"
+    assert np.linalg.norm(across) > 0.85 * np.linalg.norm(first), "22 of 120 directions"
     drift.reset()
     for t_ns in (0, 10_000_000_000):
         drift.update(across, t_ns)
