@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from touchd.config.schema import BaselineSettings
+from touchd.detection.drive_changes import drive_changes
 from touchd.detection.hum import BELOW, Hum
-from touchd.detection.jitter import delay_direction
 from touchd.detection.quiet_frames import LEAST_WINDOWS, SOON_WINDOWS, QuietFrames
 from touchd.frame import Acquisition, Counts
 
@@ -54,7 +54,7 @@ class Baseline:
     """
 
     def __init__(self, acquisition: Acquisition, settings: BaselineSettings, dtype: DTypeLike = np.float32) -> None:
-        shape = acquisition.shape
+        shape, self._acquisition = acquisition.shape, acquisition
         self.hum = Hum(acquisition, dtype)
         """What is taken out of every residual once there is any."""
         self.sound = Hum(acquisition, dtype, BELOW)
@@ -73,9 +73,9 @@ class Baseline:
         self._step = np.zeros(shape, dtype)
         self._weight = np.zeros((), dtype)
         self._energy = np.zeros((), dtype)
-        self._delay: Signal | None = None
-        self.delay_energy = 0.0
-        """Energy of the residual that is a delay of the trigger; 0 unless it jitters."""
+        self._drive: Signal | None = None
+        self.drive_energy = 0.0
+        """Energy of the residual that is the drive's own change, see `drive_changes`; 0 unless there is any."""
         self._silenced: list[int] = []
         self._t_ns = 0
         self._elapsed_ns = 0
@@ -158,10 +158,10 @@ class Baseline:
         self.window = frames
         np.mean(frames, axis=0, out=self.mean)
         residuals = self.learned()
-        found = delay_direction(self.mean, residuals)
+        found = drive_changes(self._acquisition, self.mean, residuals)
         # A trigger that has jittered still does, also where louder noise hides it.
-        self._delay, self.delay_energy = self._delay if found is None else found, 0.0
-        return _energies(residuals, self._delay)
+        self._drive, self.drive_energy = self._drive if found is None else found, 0.0
+        return _energies(residuals, self._drive)
 
     def learn_sound(self, residuals: Signal) -> bool:
         """Look for sound in untouched frames, (n, channels, samples); remove it, in place, and return whether any is.
@@ -178,10 +178,11 @@ class Baseline:
     def take_out_sound(self) -> None:
         """Take out sound from the next frame on: it has begun since the plate was learned."""
         self.sound.known = True
-        if self._delay is not None:
-            delay = self._delay.reshape(self.mean.shape).copy()
-            self.sound.remove(delay)
-            self._delay = (delay / np.linalg.norm(delay)).reshape(-1)
+        if self._drive is not None:
+            rows = self._drive.reshape(-1, *self.mean.shape).copy()
+            for row in rows:
+                self.sound.remove(row)
+            self._drive = np.linalg.qr(rows.reshape(len(rows), -1).T)[0].T.astype(rows.dtype)
 
     def learned(self) -> Signal:
         """Return the residuals of the frames learned from, shape (up to learn_frames, channels, samples)."""
@@ -219,13 +220,13 @@ class Baseline:
         self._whole = self._copy
 
     def residual_energy(self) -> float:
-        """Return the energy of `residual` but for a delay of the trigger, if it jitters; counts squared."""
+        """Return the energy of `residual` but for the drive's own changes, if there are any; counts squared."""
         self._flat.dot(self._flat, self._energy)
         energy: float = self._energy.item()
-        if self._delay is not None:
-            self._flat.dot(self._delay, self._energy)
-            self.delay_energy = self._energy.item() ** 2
-            energy = max(energy - self.delay_energy, 0.0)
+        if self._drive is not None:
+            along = self._drive @ self._flat
+            self.drive_energy = float(along @ along)
+            energy = max(energy - self.drive_energy, 0.0)
         return energy
 
     def clips(self, top: float) -> bool:
@@ -271,12 +272,12 @@ class Baseline:
         return self._calm_energy / noise_energy
 
 
-def _energies(residuals: Signal, delay: Signal | None = None) -> NDArray[np.float64]:
-    """Return the energies of residuals, (n, channels, samples), against their own mean, without their delay."""
+def _energies(residuals: Signal, drive: Signal | None = None) -> NDArray[np.float64]:
+    """Return the energies of residuals, (n, channels, samples), against their own mean, without the drive's changes."""
     flat = residuals.reshape(len(residuals), -1)
     energies: NDArray[np.float64] = np.einsum("ij,ij->i", flat, flat, dtype=np.float64)
-    if delay is not None:
-        energies -= np.square(flat @ delay)
+    if drive is not None:
+        energies -= np.square(flat @ drive.T).sum(axis=1)
     # The mean was taken from these very frames, which makes their residuals too small by 1/n.
     energies *= len(flat) / (len(flat) - 1)
     return energies

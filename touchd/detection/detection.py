@@ -18,7 +18,7 @@ class Detection(Struct, gc=False, frozen=True):
     """REPEATED, STUCK, LEARNING, UNTOUCHED or TOUCHED."""
     t_ns: int
     energy: float
-    """Of the residual, counts squared; without that of a delay where the trigger jitters."""
+    """Of the residual, counts squared; without that of the drive's own changes."""
     noise_root: float
     noise_deviation: float
     """Mean and standard deviation of the cube root of the energy of untouched frames' residuals."""

@@ -205,7 +205,7 @@ class Detector:
             # The plate has drifted while it was touched.
             self._baseline.follow(self.gate.noise_energy, quickly=moved)
             self.followed_ns = detection.t_ns
-        whole = energy + self._baseline.delay_energy
+        whole = energy + self._baseline.drive_energy
         departure &= not finger
         reason = self._relearn.update(detection.t_ns, detection.residual, whole, finger, departure, moving)
         if reason is not None:

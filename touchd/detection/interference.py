@@ -82,7 +82,7 @@ class Interference:
         baseline = self._baseline
         self.other_chirp.watch(self._gate.noise_energy)
         if baseline.awaits_sound:
-            energy = baseline.residual_energy() + baseline.delay_energy
+            energy = baseline.residual_energy() + baseline.drive_energy
             self._hear(t_ns, loud=baseline.sound.tells(residual, energy))
 
     def clean(self, detection: Detection, *, listens: bool) -> Detection:
@@ -154,7 +154,7 @@ class Interference:
     def _hums(self, detection: Detection, energy: float) -> bool:
         """Look for hum that has begun, and take it out; an impulse and a knock have low frequencies, too."""
         hum, residual = self._baseline.hum, detection.residual
-        whole = energy + self._baseline.delay_energy
+        whole = energy + self._baseline.drive_energy
         if not hum.find(residual, whole, self._gate.noise_energy):
             return False
         if self._is_loud(residual, self._baseline.residual_energy()):

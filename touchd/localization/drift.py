@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.detection.drive_changes import along_band
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.plate_changes import delayed, drive_waves, plate_directions, stretched_dft
 
@@ -76,6 +77,7 @@ class Drift:
         self._reference = atlas.baseline.astype(np.float64)
         self._known = self._plate_energy(self._reference)
         self._omega_rad_s = 2 * np.pi * bins * a.sample_rate_hz / a.samples
+        self._along_band = along_band(a, self._omega_rad_s / (2 * np.pi))
         self._channels, self._size = a.channels, atlas.size
         self.matrix: Array = self._plain.astype(self._dtype)
         """What takes samples to bins, shape (samples, 2 * bins)."""
@@ -101,8 +103,8 @@ class Drift:
         """Channels without a signal."""
         self.signal_energy = 1.0
         """Of the untouched plate's bins, counts squared."""
-        self.delay = np.zeros(self._size)
-        """What a delay of a second adds to the untouched plate's bins, shape (size,)."""
+        self.drive_changes = np.zeros((3, self._size))
+        """What a delay, a rise and a slope of the drive add to the untouched plate's bins, shape (3, size)."""
 
     def set_baseline(self, baseline: Array) -> None:
         """Compare the untouched plate, (channels, samples), with the one in training."""
@@ -236,7 +238,8 @@ class Drift:
         bins, stretched = (_to_parts(_to_complex(each) / self.gains) for each in (live @ self.matrix, live @ slope))
         self.signal_energy = max(float(np.square(bins).sum()), 1.0)
         bins[self.dead] = stretched[self.dead] = 0.0
-        self.delay = delayed(bins, self._omega_rad_s).ravel()
+        delay, along = delayed(bins, self._omega_rad_s), np.tile(self._along_band, 2)
+        self.drive_changes = np.stack([delay, bins, along * bins]).reshape(3, -1)
         drive = _to_parts(_to_complex(self._waves @ self.matrix) / self.gains[:, None])
         directions = plate_directions(bins, stretched, self._omega_rad_s, drive)
         self.directions = directions.astype(self._dtype)

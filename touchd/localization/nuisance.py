@@ -1,11 +1,11 @@
-"""What is in a frame besides fingers and white noise, in known directions: a common delay, samples hit by an impulse.
+"""What is in a frame besides fingers and white noise, in known directions: changes of the drive, hit samples.
 
-A trigger that comes late adds the time derivative of the untouched signal; a blanked sample may have had any value. The
-amounts s are unknown in each frame. `remove` takes out the frame's whole part in these directions Q, and with it some
-of the fingers'. Once fingers are fitted, `settle` puts theirs back and fits again: alternating least squares for the
-amounts and the fingers. It converges within two rounds unless a finger looks like a delay, as one on the emitter does;
-Aitken's step helps there. How much the trigger jitters, the untouched frames tell; the delay is shrunk accordingly, and
-left alone where it is below noise.
+A trigger that comes late adds the time derivative of the untouched signal, a louder drive the signal itself, which may
+slope along the band; a blanked sample may have had any value. The amounts s are unknown in each frame. `remove` takes
+out the frame's whole part in these directions Q, and with it some of the fingers'. Once fingers are fitted, `settle`
+puts theirs back and fits again: alternating least squares for the amounts and the fingers. It converges within two
+rounds unless a finger looks like a delay, as one on the emitter does; Aitken's step helps there. How much the drive
+changes, the untouched frames tell; each change is shrunk accordingly, and left alone where it is below noise.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from touchd.localization.fit import Bins, Fit
 from touchd.localization.gauss_newton import GaussNewton
 
 ACTIVE = 16.0
-"""Power along the delay, over that of noise, from which it is removed: 0.5 ns of jitter at 60 dB."""
+"""Power along a change of the drive, over that of noise, from which it is removed: 0.5 ns of jitter at 60 dB."""
 MEMORY_FRAMES = 256
 ROUNDS = 4
 """Most rounds of `settle`; still touches take one or two."""
@@ -28,7 +28,7 @@ ENOUGH = 1.0
 """A round that would move the bins by less than this, in deviations of a value's noise, is not worth a fit."""
 STEPS = 3
 FINGERS_SHARE = 0.005
-"""Share of their energy that fingers have along the delay: five fingertips up to 0.05, one near the emitter more."""
+"""Share of their energy that fingers have along each: five fingertips up to 0.05, one near the emitter more."""
 _FASTEST = 0.9
 """Largest ratio of successive rounds that Aitken's step extrapolates."""
 _WEAK = 1e-3
@@ -36,7 +36,7 @@ _WEAK = 1e-3
 
 
 class Nuisance:
-    """Removes delay and hit samples from bins, and gives fingers back what is theirs.
+    """Removes the drive's changes and hit samples from bins, and gives fingers back what is theirs.
 
     Parameters
     ----------
@@ -45,62 +45,66 @@ class Nuisance:
     dtype : type
     """
 
-    active: bool
-    """Whether the trigger jitters by more than noise hides."""
+    active: NDArray[np.bool_]
+    """Whether the drive changes in each way by more than noise hides, shape (3,): late, louder, sloping."""
 
     def __init__(self, size: int, dtype: np.dtype[np.floating]) -> None:
-        self._delay: Array = np.zeros(size, dtype)
+        self._drive: Array = np.zeros((3, size), dtype)  # orthonormal
         self._keep = np.zeros(0, dtype)  # share of each direction that is removed
         self._directions: Array = np.zeros((0, size), dtype)
         self._returned: Array = np.zeros(0, dtype)
-        self._followed = 0.0  # the fingers' own part along the delay in the last frame
-        self._settled = 0.0  # what was left along it then
+        self._followed = np.zeros(3, dtype)  # the fingers' own part along the drive's changes in the last frame
+        self._settled = np.zeros(3, dtype)  # what was left along them then
         self._energy = np.zeros((), dtype)
         self.reset()
 
     @property
     def engaged(self) -> bool:
-        """Whether the next frame has a delay to remove, or the last one had hit samples."""
-        return self.active or len(self._directions) > 0
+        """Whether the next frame has a change of the drive to remove, or the last one had hit samples."""
+        return self._changes or len(self._directions) > 0
 
-    def set_delay(self, direction: Array, mask: Array | None) -> None:
-        """Take the derivative of the untouched bins by time, any length, shape (size,)."""
-        delay = direction if mask is None else direction * mask
-        norm = float(np.linalg.norm(delay))
-        self._delay = (delay / norm if norm > 0 else np.zeros_like(delay)).astype(self._delay.dtype)
+    def set_drive(self, changes: Array, mask: Array | None) -> None:
+        """Take what a delay, a rise and a slope of the drive add to the untouched bins, any length, (3, size)."""
+        rows = changes if mask is None else changes * mask
+        norm = np.linalg.norm(rows, axis=1, keepdims=True)
+        rows = np.linalg.qr((rows / norm).T)[0].T if (norm > 0).all() else np.zeros_like(rows)
+        self._drive = rows.astype(self._drive.dtype)
 
     def reset(self) -> None:
-        """Forget how much the trigger jitters."""
-        self._power, self._white, self._last, self._frames = 0.0, 0.0, 0.0, 0
-        self.active = False
+        """Forget how much the drive changes."""
+        self._power, self._last, self._white, self._frames = np.zeros(3), np.zeros(3), 0.0, 0
+        self.active, self._changes = np.zeros(3, bool), False
 
     def forget_fingers(self) -> None:
         """Expect no finger in the next frame."""
-        self._followed = 0.0
+        if self._changes:
+            self._followed[:] = 0.0
 
-    def learn(self, vector: Array) -> float:
-        """Update the jitter by the bins of an untouched frame; return their part along the delay."""
-        self._delay.dot(vector, self._energy)
-        along: float = self._energy.item()
+    def learn(self, vector: Array) -> Array:
+        """Update how the drive changes by the bins of an untouched frame; return their parts along that, (3,)."""
+        along = self._drive @ vector
         vector.dot(vector, self._energy)
         self._frames = min(self._frames + 1, MEMORY_FRAMES)
-        white = (self._energy.item() - along * along) / len(vector)
+        white = (self._energy.item() - float(along @ along)) / len(vector)
         # Against the last frame: a plate that warms moves this way too, but slowly.
         step, self._last = along - self._last, along
         if self._frames > 1:
             self._power += (step * step / 2 - self._power) / (self._frames - 1)
         self._white += (white - self._white) / self._frames
-        self.active = self._power > ACTIVE * self._white > 0
+        active = self._power > ACTIVE * self._white if self._white > 0 else np.zeros(3, bool)
+        if not np.array_equal(active, self.active):
+            self.active, self._changes = active, bool(active.any())
+            self._followed[:] = 0.0
         return along
 
     def hear(self, vector: Array) -> None:
-        """Update the jitter by the bins of an untouched frame; if there is any, take the delay out of them."""
+        """Update the drive's changes by the bins of an untouched frame; if there are any, take them out of them."""
         along = self.learn(vector)
-        if self.active:
-            vector -= along * self._delay
+        if self._changes:
+            vector -= (along * self.active).astype(vector.dtype) @ self._drive
 
     def remove(self, vector: Array, runs: list[Array], mask: Array | None) -> None:
-        """Take delay and hit samples out of the bins of a frame, in place.
+        """Take the drive's changes and hit samples out of the bins of a frame, in place.
 
         Parameters
         ----------
@@ -109,29 +113,30 @@ class Nuisance:
             What each hit run of samples can add to the bins.
         mask : array of shape (size,), optional
         """
-        delay = self._delay[None] if self.active else self._delay[None][:0]
-        self._directions = delay
-        self._keep = np.full(len(delay), 1 - self._white / max(self._power, 1e-30), vector.dtype)
+        drive = self._drive[self.active]
+        self._directions = drive
+        self._keep = (1 - self._white / np.maximum(self._power[self.active], 1e-30)).astype(vector.dtype)
         if runs:
             table = np.concatenate(runs) if mask is None else np.concatenate(runs) * mask
-            table = table - (table @ delay.T) @ delay
+            table = table - (table @ drive.T) @ drive
             _, size, rows = np.linalg.svd(table, full_matrices=False)
             rows = rows[size > _WEAK * size[0]].astype(vector.dtype)
-            self._directions = np.concatenate([delay, rows])
+            self._directions = np.concatenate([drive, rows])
             self._keep = np.concatenate([self._keep, np.ones(len(rows), vector.dtype)])
         if not len(self._directions):
             return
         self._returned = np.zeros_like(self._keep)
-        if self.active:
-            self._returned[0] = self._followed or self._expected(vector)
+        if len(drive):
+            followed = self._followed[self.active]
+            self._returned[: len(drive)] = followed if followed.any() else self._expected(vector, drive)
         vector -= (self._keep * (self._directions @ vector) - self._returned) @ self._directions
 
-    def _expected(self, vector: Array) -> float:
-        """Return the part along the delay that is the fingers' if nothing is known of them."""
-        along = float(self._delay @ vector)
-        # What lies along the delay may be the trigger's alone, and says nothing of fingers.
-        own = FINGERS_SHARE * max(float(vector @ vector) - along * along, 0.0)
-        return float(self._keep[0]) * along * own / (own + self._power)
+    def _expected(self, vector: Array, drive: Array) -> Array:
+        """Return the part along the drive's changes that is the fingers' if nothing is known of them."""
+        along = drive @ vector
+        # What lies along them may be the drive's alone, and says nothing of fingers.
+        own = FINGERS_SHARE * max(float(vector @ vector) - float(along @ along), 0.0)
+        return np.asarray(self._keep[: len(drive)] * along * (own / (own + self._power[self.active])), vector.dtype)
 
     def settle(self, bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> tuple[Bins, Fit]:
         """Return bins in which the fingers are whole, and their fit.
@@ -163,14 +168,15 @@ class Nuisance:
             vector.dot(vector, self._energy)
             bins = Bins(vector, bins.mask, self._energy.item())
             fit = refit(bins, fit, solver, noise_energy)
-        if self.active:
-            self._followed, self._settled = float(self._returned[0]), float(self._delay.dot(bins.vector))
+        if self._changes:
+            self._followed[self.active] = self._returned[: int(self.active.sum())]
+            np.dot(self._drive, bins.vector, out=self._settled)
         return bins, fit
 
     def align(self, vector: Array) -> None:
-        """Give the bins of a frame, in place, the delay of the frame settled last: they can then be compared."""
-        if self.active:
-            vector += (self._settled - self._delay.dot(vector)) * self._delay
+        """Give the bins of a frame, in place, the drive of the frame settled last: they can then be compared."""
+        if self._changes:
+            vector += ((self._settled - self._drive @ vector) * self.active) @ self._drive
 
 
 def refit(bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> Fit:

@@ -190,8 +190,8 @@ class PlateModel:
     def bins(self, residual: Signal, hits: tuple[int, ...] = ()) -> Bins:
         """Return the bins of a residual, shape (channels, samples); valid until the next call.
 
-        `hits` are the starts of runs of samples that an impulse has hit. Delay and hit samples are taken out, and with
-        them some of the fingers until `nuisance.settle`.
+        `hits` are the starts of runs of samples that an impulse has hit. They and the drive's own changes are taken
+        out, and with them some of the fingers until `nuisance.settle`.
         """
         vector, mask = self._vector, self.noise.mask
         self.drift.correct(residual, vector)
@@ -203,7 +203,7 @@ class PlateModel:
         return Bins(vector, mask, self._energy.item())
 
     def settle(self, bins: Bins, fit: Fit, solver: GaussNewton, hits: tuple[int, ...]) -> tuple[Bins, Fit]:
-        """Give fingers back what the frame's delay and hit samples took from them; too few fingers cannot tell it."""
+        """Give fingers back what the drive and hit samples took from them; too few fingers cannot tell it."""
         noise_energy = self.noise.noise_energy
         lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + noise_energy
         if not self.nuisance.engaged or (lacking and not hits):
@@ -217,4 +217,4 @@ class PlateModel:
 
     def _use(self, channels: NDArray[np.bool_]) -> None:
         self.noise.set_channels(channels, self.drift.directions, self._quiet)
-        self.nuisance.set_delay(self.drift.delay, self.noise.mask)
+        self.nuisance.set_drive(self.drift.drive_changes, self.noise.mask)

@@ -40,6 +40,15 @@ class Impulses(NamedTuple):
     """Longest impulse; a burst's spike of 50 ns rings for some microseconds in the anti-alias filter."""
 
 
+class Ripple(NamedTuple):
+    """How the drive's level follows its supply. A driver without regulation hands on all of it: 50 mV on 5 V are 1 %."""
+
+    share: float = 1e-3
+    """RMS, of the level."""
+    hz: float = 100.0
+    """Of a rectified mains; 0 of what differs from frame to frame by chance."""
+
+
 class Dead(NamedTuple):
     """A receiver whose wire breaks."""
 
@@ -65,11 +74,16 @@ class Electronics(NamedTuple):
     image_db: float | None = None
     """Level of the chirp's image around the DAC rate, relative to the signal; -15 dB before the transducer."""
     impulses: Impulses | None = None
+    ripple: Ripple | None = None
     crosstalk_db: float | None = None
     """Level of each channel in its neighbours: -50 dB on a board with one multiplexed converter, -80 dB with a
     converter a channel (datasheets of the AD7606 and of NI's multiplexed cards)."""
     inl_lsb: float = 0.0
     """Peak of the integral nonlinearity, an S over the range: 2 to 8 LSB of 16 bits (the same datasheets)."""
+
+
+_RIPPLE_KEY = 0x71
+"""Of the generator of each frame's level."""
 
 
 class Digitiser:
@@ -154,6 +168,22 @@ class Digitiser:
                 start = rng.integers(frame.shape[1])
                 hit = frame[:, start : start + rng.integers(1, impulses.samples + 1)]
                 hit += self._rms * 10 ** (impulses.level_db / 20) * rng.standard_normal(hit.shape)
+
+
+def rippled(signal: Floats, time_s: Floats, starts_s: Floats, acquisition: Acquisition, ripple: Ripple) -> Floats:
+    """Return what the plate answers, (n, R, S), to a drive that ripples: each frequency by the level as it is emitted.
+
+    `time_s` (n,) is the start of each frame, of which the chirps after `starts_s` (k,) are averaged.
+    """
+    a, chirp = acquisition, acquisition.chirp
+    if not ripple.hz:
+        drawn = [np.random.default_rng((_RIPPLE_KEY, round(at_s * 1e9))).standard_normal() for at_s in time_s.tolist()]
+        return np.asarray(signal * (1 + ripple.share * np.array(drawn))[:, None, None])
+    frequency_hz = np.fft.rfftfreq(a.samples, 1 / a.sample_rate_hz)
+    share = np.clip((frequency_hz - chirp.start_hz) / (chirp.stop_hz - chirp.start_hz), 0, 1)
+    at_s = time_s[:, None, None] + starts_s[:, None] + chirp.duration_s * share
+    level = 1 + np.sqrt(2) * ripple.share * np.sin(2 * np.pi * np.modf(ripple.hz * at_s)[0]).mean(axis=1)
+    return np.asarray(np.fft.irfft(np.fft.rfft(signal) * level[:, None], a.samples))
 
 
 def noise_states(seed: int | Sequence[int], values: int, frames: Iterable[int]) -> list[dict[str, Any]]:

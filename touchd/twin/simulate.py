@@ -17,7 +17,7 @@ from touchd.errors import SimulationError
 from touchd.frame import ACQUISITIONS, Acquisition, Plate
 from touchd.jobs import Job, run
 from touchd.recording.data import Device, Meta, Recording
-from touchd.twin.electronics import Digitiser, Electronics, noise_states
+from touchd.twin.electronics import Digitiser, Electronics, noise_states, rippled
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.body import Coupled
 from touchd.twin.physics.film import Wetted
@@ -87,6 +87,8 @@ def stream(
         touches = stage.touches(first, last)
         if any(touches):
             signal += change_by(stage, instrument, first, touches, temperature_c, late_s)
+        if stage.electronics.ripple is not None:
+            signal = rippled(signal, time_s[first:last], starts_s, a, stage.electronics.ripple)
         for ringing in ringings:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 if begin_s + sample_s[-1, -1] > ringing.at_s:
