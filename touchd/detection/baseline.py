@@ -134,6 +134,11 @@ class Baseline:
         energies, self.sound.known = _energies(residuals), False
         if not _steady(residuals, energies) and self.learn_sound(residuals):
             frames, energies = self.mean + residuals, _energies(residuals)
+        drive = None if _steady(residuals, energies) else drive_changes(self._acquisition, self.mean, residuals)
+        if drive is not None:  # a level that ripples by the mains may be as slow, from frame to frame, as a finger
+            flat = residuals.reshape(len(residuals), -1)
+            residuals = (flat - flat @ drive.T @ drive).reshape(residuals.shape)
+            energies = _energies(residuals)
         if not _steady(residuals, energies):
             self._quiet.add(frames)
             waits = self._tried < self._patience

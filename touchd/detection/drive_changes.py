@@ -51,9 +51,10 @@ def drive_changes(acquisition: Acquisition, mean: Signal, residuals: Signal) -> 
     if not (np.linalg.norm(rows, axis=1) > 0).all() or len(flat) < _FEWEST_FRAMES:
         return None
     along = flat @ np.linalg.qr(rows.T)[0]
-    variance = float(np.square(np.diff(flat, axis=0)).mean()) / 2
-    found = np.square(np.diff(along, axis=0)).mean(axis=0) / 2 > CHANGES * variance
-    if not found.any() or not variance > 0:
+    power = np.square(np.diff(along, axis=0)).mean(axis=0)
+    noise = np.square(np.diff(flat, axis=0)).sum(axis=1).mean() - power.sum()
+    found = power > CHANGES * noise / flat.shape[1]
+    if not found.any() or not noise > 0:
         return None
     common = np.linalg.lstsq(along[:, found], flat, rcond=None)[0]
     return np.asarray(np.linalg.qr(common.T)[0].T, mean.dtype)

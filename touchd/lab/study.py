@@ -22,7 +22,7 @@ from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
-from touchd.twin.electronics import Electronics, Impulses, Tone
+from touchd.twin.electronics import Electronics, Impulses, Ripple, Tone
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.mounting import Mounting, feet
@@ -81,6 +81,8 @@ EFFECTS = {
     "impulses in 5 % of frames": _electronics(impulses=Impulses()),
     "impulses in 20 % of frames": _electronics(impulses=Impulses(share=0.2)),
     "tone through the finger -50 dB": _electronics(tones=(Tone(62_347.0, -50.0, finger=True),)),
+    "ripple 0.1 %": _electronics(ripple=Ripple()),
+    "ripple 1 %": _electronics(ripple=Ripple(share=0.01)),
     "crosstalk -50 dB": _electronics(crosstalk_db=-50.0),
     "nonlinearity 8 LSB": _electronics(inl_lsb=8.0),
     "tilts 10 deg 1.5 dB": _tilts(10.0, 1.5),

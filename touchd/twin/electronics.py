@@ -41,7 +41,7 @@ class Impulses(NamedTuple):
 
 
 class Ripple(NamedTuple):
-    """How the drive's level follows its supply. A driver without regulation hands on all of it: 50 mV on 5 V are 1 %."""
+    """How the drive's level follows its supply. A driver without regulation hands on all: 50 mV on 5 V are 1 %."""
 
     share: float = 1e-3
     """RMS, of the level."""
@@ -80,10 +80,6 @@ class Electronics(NamedTuple):
     converter a channel (datasheets of the AD7606 and of NI's multiplexed cards)."""
     inl_lsb: float = 0.0
     """Peak of the integral nonlinearity, an S over the range: 2 to 8 LSB of 16 bits (the same datasheets)."""
-
-
-_RIPPLE_KEY = 0x71
-"""Of the generator of each frame's level."""
 
 
 class Digitiser:
@@ -170,19 +166,24 @@ class Digitiser:
                 hit += self._rms * 10 ** (impulses.level_db / 20) * rng.standard_normal(hit.shape)
 
 
-def rippled(signal: Floats, time_s: Floats, starts_s: Floats, acquisition: Acquisition, ripple: Ripple) -> Floats:
+def rippled(
+    signal: Floats, time_s: Floats, starts_s: Floats, acquisition: Acquisition, ripple: Ripple,
+    seed: int | Sequence[int],
+) -> Floats:  # fmt: skip
     """Return what the plate answers, (n, R, S), to a drive that ripples: each frequency by the level as it is emitted.
 
-    `time_s` (n,) is the start of each frame, of which the chirps after `starts_s` (k,) are averaged.
+    `time_s` (n,) is the start of each frame, of which the chirps after `starts_s` (k,) are averaged. By its time and
+    the seed alone a frame's level is drawn, in any division.
     """
-    a, chirp = acquisition, acquisition.chirp
+    a, chirp, key = acquisition, acquisition.chirp, np.atleast_1d(seed).tolist()
     if not ripple.hz:
-        drawn = [np.random.default_rng((_RIPPLE_KEY, round(at_s * 1e9))).standard_normal() for at_s in time_s.tolist()]
+        drawn = [np.random.default_rng([*key, round(at_s * 1e9)]).standard_normal() for at_s in time_s.tolist()]
         return np.asarray(signal * (1 + ripple.share * np.array(drawn))[:, None, None])
     frequency_hz = np.fft.rfftfreq(a.samples, 1 / a.sample_rate_hz)
     share = np.clip((frequency_hz - chirp.start_hz) / (chirp.stop_hz - chirp.start_hz), 0, 1)
+    turn = np.random.default_rng(key).uniform()
     at_s = time_s[:, None, None] + starts_s[:, None] + chirp.duration_s * share
-    level = 1 + np.sqrt(2) * ripple.share * np.sin(2 * np.pi * np.modf(ripple.hz * at_s)[0]).mean(axis=1)
+    level = 1 + np.sqrt(2) * ripple.share * np.sin(2 * np.pi * (np.modf(ripple.hz * at_s)[0] + turn)).mean(axis=1)
     return np.asarray(np.fft.irfft(np.fft.rfft(signal) * level[:, None], a.samples))
 
 

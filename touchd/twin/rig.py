@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from touchd.errors import SimulationError
 from touchd.files import read_toml
 from touchd.frame import Plate
-from touchd.twin.electronics import Dead, Electronics, Impulses, Tone
+from touchd.twin.electronics import Dead, Electronics, Impulses, Ripple, Tone
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.mounting import FREE, Attachment, Mounting, Support
 
@@ -49,7 +49,8 @@ IDEAL = Rig()
 _KEYS: dict[str, Iterable[str]] = {
     "": Rig.model_fields, "mounting": Mounting.model_fields, "mounting.attachments": Attachment.model_fields,
     "mounting.attachments.support": Support._fields, "electronics": Electronics._fields,
-    "electronics.impulses": Impulses._fields, "electronics.tones": Tone._fields, "electronics.dead": Dead._fields,
+    "electronics.impulses": Impulses._fields, "electronics.ripple": Ripple._fields,
+    "electronics.tones": Tone._fields, "electronics.dead": Dead._fields,
 }  # fmt: skip
 """Keys of each table, by its name."""
 

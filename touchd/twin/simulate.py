@@ -88,7 +88,7 @@ def stream(
         if any(touches):
             signal += change_by(stage, instrument, first, touches, temperature_c, late_s)
         if stage.electronics.ripple is not None:
-            signal = rippled(signal, time_s[first:last], starts_s, a, stage.electronics.ripple)
+            signal = rippled(signal, time_s[first:last], starts_s, a, stage.electronics.ripple, seed)
         for ringing in ringings:
             for frame, begin_s in zip(signal, time_s[first:last].tolist(), strict=True):
                 if begin_s + sample_s[-1, -1] > ringing.at_s:

@@ -28,6 +28,9 @@ OMEGA_RAD_S = 2 * np.pi * np.array(BINS) * RIG.sample_rate_hz / RIG.samples
 PLATE = untouched()
 DELAY = delayed(PLATE @ MATRIX, OMEGA_RAD_S).ravel()
 """What a delay of a second adds to the bins."""
+LEVEL = (PLATE @ MATRIX).ravel()
+DRIVE = np.stack([DELAY, LEVEL, LEVEL * np.tile(np.linspace(-1, 1, len(BINS)), 2 * RIG.channels)])
+"""What a delay, a rise and a slope of the drive add."""
 SLOPE = (untouched(delay_s=1e-9) - untouched(delay_s=-1e-9)) / 2e-9
 SIGMA = 5.0
 """Standard deviation of a bin's noise."""
@@ -35,13 +38,14 @@ PLACES = st.tuples(st.floats(10, 110), st.floats(10, 80))
 DELAYS_S = st.floats(-60e-9, 60e-9)
 
 
-def knowing(jitter_s: float, dtype: type = np.float32) -> Nuisance:
-    """Nuisance that has heard 64 untouched frames of this jitter."""
+def knowing(jitter_s: float, dtype: type = np.float32, level: float = 0.0) -> Nuisance:
+    """Nuisance that has heard 64 untouched frames of this jitter, and of levels and slopes that differ."""
     rng = np.random.default_rng(1)
     nuisance = Nuisance(ATLAS.size, np.dtype(dtype))
-    nuisance.set_delay(DELAY, None)
+    nuisance.set_drive(DRIVE, None)
     for _ in range(64):
         vector = jitter_s * rng.standard_normal() * DELAY + SIGMA * rng.standard_normal(ATLAS.size)
+        vector += level * rng.standard_normal(2) @ DRIVE[1:]
         nuisance.hear(vector.astype(dtype))
     return nuisance
 
@@ -99,6 +103,19 @@ def test_delay(place_mm: tuple[float, float], delay_s: float, seed: int) -> None
         assert left < 1.5 * SIGMA**2 * ATLAS.size
 
 
+@given(PLACES, DELAYS_S, st.floats(-0.02, 0.02), st.floats(-0.01, 0.01), st.integers(0, 99))
+@settings(deadline=None, max_examples=8)
+def test_level(place_mm: tuple[float, float], delay_s: float, level: float, slope: float, seed: int) -> None:
+    """Of a drive that is late, louder and slopes, too, a fit leaves no more of a finger than least squares."""
+    drive = np.array([delay_s, level, slope]) @ DRIVE
+    vector = frame(*place_mm, 0.0, seed) + drive
+    expected = joint(vector, *place_mm, np.linalg.qr(DRIVE.T)[0].T)
+    for dtype in (np.float32, np.float64):
+        x_mm, y_mm, left = settled(knowing(30e-9, dtype, 0.01), vector.astype(dtype), place_mm)
+        assert math.dist((x_mm, y_mm), expected) < 0.02
+        assert left < 1.5 * SIGMA**2 * ATLAS.size
+
+
 @given(PLACES, st.integers(45, 190), st.integers(0, 99))
 @settings(deadline=None, max_examples=8)
 def test_hit_samples(place_mm: tuple[float, float], start: int, seed: int) -> None:
@@ -130,7 +147,7 @@ def test_warming_is_no_jitter() -> None:
     for step in range(64):
         vector = 0.3e-9 * step * DELAY + SIGMA * rng.standard_normal(ATLAS.size)
         nuisance.hear(vector.astype(np.float32))
-    assert not nuisance.active
+    assert not nuisance.active.any()
 
 
 def test_hits_end_with_their_frame() -> None:

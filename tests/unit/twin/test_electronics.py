@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
-from touchd.twin.electronics import Dead, Digitiser, Electronics, Impulses, Tone
+from touchd.twin.electronics import Dead, Digitiser, Electronics, Impulses, Ripple, Tone, rippled
 from touchd.twin.instrument import REFERENCE_C, Instrument
 
 SILENT = Electronics(noise_db=np.inf)
@@ -113,6 +113,20 @@ def test_a_dead_channel_hears_nothing_but_noise(instrument: Instrument) -> None:
     dead = counts(instrument, Electronics(dead=(Dead(2, 0.03),)))
     assert np.abs(dead[:4, 2]).max() > 1000
     assert 0 < np.abs(dead[4:, 2]).max() < 40
+
+
+@pytest.mark.parametrize("hz", [0.0, 100.0])
+def test_a_ripple_has_its_share(hz: float, instrument: Instrument) -> None:
+    """Of the level, from frame to frame; by the mains it slopes along the chirp, too."""
+    signal, time_s = np.repeat(instrument.untouched([REFERENCE_C]), 400, axis=0), np.arange(400) / 123.4
+    ripple = Ripple(0.01, hz)
+    found = rippled(signal, time_s, np.zeros(1), instrument.acquisition, ripple, 5)
+    level = np.einsum("nrs,nrs->n", found, signal) / np.einsum("nrs,nrs->n", signal, signal) - 1
+    assert level.std() == pytest.approx(0.01, rel=0.1)
+    rest = np.linalg.norm(found - (1 + level)[:, None, None] * signal) / np.linalg.norm(signal)
+    assert rest == pytest.approx(0.0, abs=1e-12) if not hz else 5e-4 < rest < 4e-3
+    later = rippled(signal[:9], time_s[50:59], np.zeros(1), instrument.acquisition, ripple, 5)
+    np.testing.assert_allclose(later, found[50:59], atol=1e-12)
 
 
 def test_an_image_repeats_with_each_chirp_at_its_level(instrument: Instrument) -> None:

@@ -32,6 +32,7 @@ jitter_s = 20e-9
 crosstalk_db = -50
 inl_lsb = 8
 impulses = { share = 0.05 }
+ripple = { share = 0.01, hz = 120 }
 tones = [{ frequency_hz = 62000, level_db = -50, finger = true }]
 """
 
@@ -50,6 +51,7 @@ def test_file(tmp_path: Path) -> None:
     assert rig.electronics.jitter_s == 20e-9
     assert rig.electronics.tones[0].finger
     assert rig.electronics.impulses is not None
+    assert rig.electronics.ripple == (0.01, 120.0)
     assert load_rig(rig_of(tmp_path, "")) == IDEAL
     assert load_rig(rig_of(tmp_path, "[electronics]\nnoise_db = inf")).electronics.noise_db == float("inf")
 
@@ -58,6 +60,7 @@ def test_file(tmp_path: Path) -> None:
     ("text", "what"),
     [
         ("[electronics]\njiter_s = 1e-9", "electronics.jiter_s: unknown key -> use noise_db, .*jitter_s"),
+        ("[electronics]\nripple = { hx = 1 }", "electronics.ripple.hx: unknown key -> use share, hz"),
         ("[electronics]\ntones = [{ hz = 1 }]", "electronics.tones.0.hz: unknown key -> use frequency_hz"),
         ("[[mounting.attachments]]\nsupport = { loos = 1 }", "loos: unknown key -> use stiffness_n_m3"),
         ("[mounting]\nleft = 'glue'", "mounting.left"),
