@@ -79,6 +79,16 @@ class Worker:
         if self._state["running"]:
             self._run(self._state["running"])
 
+    def look(self) -> None:
+        """Look which model runs, unless a command is obeyed: it may be changing that."""
+        if self._one.acquire(blocking=False):
+            try:
+                self._trial.follow()
+            except OutputError as error:
+                log.error("which model runs is not known", error=str(error))
+            finally:
+                self._one.release()
+
     def end(self) -> None:
         """End the job that runs, to be resumed by another process."""
         running = self._state["running"]
@@ -270,7 +280,7 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
         worker.resume()
         ready()
         manager.ready()
-        await stay(path, ended)
+        await stay(path, ended, worker.look)
         manager.stopping()
         server.close()
         await asyncio.to_thread(worker.end)
