@@ -117,7 +117,6 @@ class Trial:
 
     def __init__(self, state: State, target: Path, control: Path) -> None:
         self._state, self._target, self._control = state, target, control
-        self._seen = _mark(target)
 
     def begin(self, model: Path) -> None:
         """Put a model in use; the one from before the first try is kept. See `take_model` for what a daemon refuses."""
@@ -160,29 +159,14 @@ class Trial:
             found["old"] = self._target if runs == "before" else previous_path(self._target)
         return found
 
-    def follow(self) -> None:
-        """Look which model runs if `touchd model` has put another one in use."""
-        if _mark(self._target) != self._seen:
-            self.look()
-
     def look(self) -> None:
         """Look which model runs."""
-        self._seen = _mark(self._target)  # first: what changes meanwhile is looked at again
         now, before = digest(self._target), self._state["before"]
         if now == before:
             before = None
         of = {digest(self._state.trained): "trained", digest(self._state.model): "fitted"}
         runs = of.get(now, "before" if before is None else "earlier") if now else ""
         self._state.set(before=before, runs=runs)
-
-
-def _mark(model: Path) -> tuple[int, int] | None:
-    """Return what each replacement of a model's file changes; None without one."""
-    try:
-        status = model.stat()
-    except OSError:
-        return None
-    return status.st_ino, status.st_mtime_ns
 
 
 def compare(state: State, models: dict[str, Path]) -> dict[str, Any]:

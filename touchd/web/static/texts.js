@@ -5,7 +5,7 @@ export const texts = {
   views: { live: 'Live', replay: 'Replay', calibrate: 'Calibrate', check: 'Check' },
   navigation: 'Views',
   theme: { auto: 'Colours: system', light: 'Colours: light', dark: 'Colours: dark' },
-  no_session: 'To act, open the address that touchd web printed at its start.',
+  no_session: 'To act, open the address that touchd web printed at its start; of the service: journalctl -u touchd-web | grep open',
 
   states: {
     starting: ['Starting', 'The daemon is opening its device.'],
@@ -95,7 +95,7 @@ export const texts = {
       no_number: (name, text) => `${name}: “${text}” is no number. Type millimetres without a unit, at most with a decimal point.`,
       others: 'Other measures were saved meanwhile. Yours are not saved: save them to replace those, or load the page again to see those.',
       drops_fit: 'If you change any measure, the wizard discards the fit: fit again.',
-      drops: n => `If you change size, thickness or material, the wizard discards ${n === 1 ? 'the tap: it belongs' : `the ${n} taps: they belong`} to the old drawing.`,
+      drops: n => `If you change size, thickness, material or the number of receivers, the wizard discards ${n === 1 ? 'the tap' : `the ${n} taps`}.`,
     },
     untouched: {
       hint: 'Take everything off the plate. Its own sound tells what it is.',

@@ -535,6 +535,16 @@ def test_trial_ended_elsewhere(tmp_path: Path) -> None:
     assert (state["runs"], digest(target)) == ("before", digest(SHIPPED))
 
 
+def test_screen_found_elsewhere(tmp_path: Path) -> None:
+    """Where `touchd map` finds the screen, rings are shown there. A broken configuration changes nothing."""
+    worker, state = made(tmp_path)
+    (config := tmp_path / "config/touchd.toml").parent.mkdir()
+    for text in ("[input]\nscreen_mm = [20, 10, 80, 60]\n", "[input"):
+        config.write_text(text)
+        worker.look()
+        assert state["mapping"]["screen_mm"] == [20.0, 10.0, 80.0, 60.0]
+
+
 def test_begin_again(tmp_path: Path) -> None:
     """To begin again forgets all but the measures; a state that is damaged is none."""
     worker, state = made(tmp_path)
