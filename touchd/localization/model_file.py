@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from touchd.errors import ModelInvalid, ModelMissing, OutputError, RecordingError
+from touchd.errors import ModelError, ModelInvalid, ModelMissing, OutputError, RecordingError
 from touchd.files import is_missing, open_file, replacing, writing
 from touchd.localization.model import Model
 from touchd.recording.format import Reader
@@ -87,6 +89,27 @@ def install(source: Path, target: Path, *, keep: bool = True) -> Model:
                 _move(kept, previous_path(target))
             _move(fresh, target)
     return Model(target)
+
+
+@contextmanager
+def installed(source: Path, target: Path, *, keep: bool) -> Iterator[None]:
+    """Install a model for this context's use; if that raises ModelError, put back what was there, or nothing.
+
+    Raises as `install` does.
+    """
+    with writing(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        scratch = tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.")
+    with scratch as folder:
+        with writing(target):
+            _copy(target, before := Path(folder) / target.name)
+        install(source, target, keep=keep)
+        try:
+            yield
+        except ModelError:
+            with writing(target):
+                _move(before, target)
+            raise
 
 
 def rollback(target: Path) -> Model:

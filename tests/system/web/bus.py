@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import count
 from typing import Any
 
@@ -109,6 +109,17 @@ def five(frame: int, phase: Phase = "move") -> list[Contact]:
     ]  # fmt: skip
 
 
+def lifted(bus: Bus) -> None:
+    """Publish, each second, that the last finger was lifted a minute ago."""
+    wall = (datetime.now(UTC) - timedelta(minutes=1)).isoformat()
+    at_ns = time.monotonic_ns() - 60_000_000_000
+    while True:
+        bus.poll()
+        bus.publish(TouchEvent("pane 1", 1, at_ns, wall, 0, five(0, "up"), latency_us=312.0))
+        bus.health(0)
+        time.sleep(1.0)
+
+
 def play(bus: Bus, rate_hz: float = RATE_HZ, step: int = SHOWN, **wrong: Any) -> None:
     """Publish five fingers in each frame that is so many after the last, and what is wrong."""
     begin_s, frame = time.monotonic(), 0
@@ -126,4 +137,6 @@ def play(bus: Bus, rate_hz: float = RATE_HZ, step: int = SHOWN, **wrong: Any) ->
 if __name__ == "__main__":
     wrong: dict[str, Any] = next((fields for option, fields in WRONG.items() if option in sys.argv), {})
     rate_hz, step = (40 * RATE_HZ, 1) if "hurried" in sys.argv else (RATE_HZ, SHOWN)
+    if "lifted" in sys.argv:
+        lifted(Bus(sys.argv[1]))
     play(Bus(sys.argv[1], keypad="keypad" in sys.argv), rate_hz, step, **wrong)

@@ -28,7 +28,7 @@ from playwright.sync_api import Browser, Page, expect
 from playwright.sync_api import TimeoutError as Late
 
 from tests.processes import PATIENCE_S, ROOT, environment, started
-from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, chromium, page, web
+from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, bus, chromium, page, web
 from tests.system.web.wizard import POOR, wizard
 from tests.unit.bridges.tuioclient import Client
 from touchd.config.load import load
@@ -255,13 +255,14 @@ def test_no_wizard(tmp_path: Path, browser: Browser) -> None:
                 expect(opened.locator(".tapped")).to_have_attribute("data-level", "failure")
                 expect(opened.locator("circle.missed")).to_have_count(1)
             expect(opened.get_by_text("Your taps scatter by 0.6 mm (2 rings tapped twice).")).to_be_visible()
-            # A daemon that is silent takes the cross away.
-            told.show("cross-shown")
-            opened.get_by_role("button", name="Show the crosses here").click()
-            expect(opened.locator(".stage .mark")).to_be_visible()
-            told.show("cross-shown", cross={"number": 3, "of": 4, "at": None})
-            expect(opened.locator(".stage .mark")).to_be_hidden()
-            expect(opened.locator(".stage .result")).to_contain_text("The daemon says nothing")
+            # A daemon that is silent to the wizard takes the cross away.
+            with bus(f"ipc://{rig.folder}/bus"):
+                told.show("cross-shown")
+                opened.get_by_role("button", name="Show the crosses here").click()
+                expect(opened.locator(".stage .mark")).to_be_visible()
+                told.show("cross-shown", cross={"number": 3, "of": 4, "at": None})
+                expect(opened.locator(".stage .mark")).to_be_hidden()
+                expect(opened.locator(".stage .result")).to_contain_text("The crosses go on once it runs")
             opened.screenshot(path=tmp_path / "silent.png")
 
 

@@ -238,6 +238,69 @@ def test_server_is_killed(browser: Browser, address: str) -> None:
             expect(opened.locator(STATUS)).to_have_text("Working")
 
 
+def test_next_server(browser: Browser, address: str) -> None:
+    """The address of the next `touchd web`, with its token, acts in the page of the one before, where an examination
+    that has ended with its server can be begun again."""
+    with web(address) as server, page(browser, server.url) as opened:
+        opened.get_by_role("link", name="Check").click()
+        opened.get_by_role("button", name="Examine", exact=True).click()
+        expect(opened.get_by_role("button", name="Examining")).to_be_disabled()
+        os.kill(server.process.pid, signal.SIGKILL)
+        server.process.wait(PATIENCE_S)
+        examine = opened.get_by_role("button", name="Examine again")
+        expect(examine).to_be_enabled()
+        with web(address, port=server.port) as following:
+            examine.click()
+            expect(opened.locator(".verdict")).to_contain_text("touchd web printed")
+            opened.goto(following.url)
+            expect(opened.locator(STATUS)).to_have_text("Working")
+            assert "token" not in opened.url
+            opened.get_by_role("link", name="Check").click()
+            opened.get_by_role("button", name="Examine", exact=True).click()
+            expect(opened.locator(".findings li").first).to_contain_text("clock")
+
+
+def test_touch_long_ago(browser: Browser, tmp_path: Path) -> None:
+    """A page that is opened a minute after the last touch says that the plate works, not that frames come late."""
+    where = f"ipc://{tmp_path}/bus"
+    with bus(where, "lifted"), web(where) as server, page(browser, server.url) as opened:
+        opened.wait_for_function("() => touchd.feed?.dataAgeMs > 50_000 && touchd.feed.last.health")
+        expect(opened.locator(STATUS)).to_have_text("Working")
+
+
+def test_calibrate_without_frames(browser: Browser, tmp_path: Path) -> None:
+    """While the daemon or `touchd web` is silent, the calibration says so at every step, and shows nothing to touch."""
+    where, socket = f"ipc://{tmp_path}/bus", tmp_path / "wizard"
+    with wizard(socket) as told, web(where, "--wizard", socket) as server, page(browser, server.url) as opened:
+        with bus(where) as daemon:
+            told.show("untouched")
+            opened.get_by_role("link", name="Calibrate").click()
+            expect(opened.locator(".doing")).to_have_text("Listening …")
+            expect(opened.locator(".state")).to_be_hidden()
+            os.kill(daemon.pid, signal.SIGKILL)
+            expect(opened.locator(".state")).to_contain_text("The daemon says nothing")
+        mark, said = opened.locator(".stage .mark"), opened.locator(".stage .result")
+        with bus(where):
+            expect(opened.locator(".state")).to_be_hidden()
+            for shown, button in (
+                ("cross-shown", "Show the crosses here"),
+                ("ring-shown", "Show the ring on this screen"),
+            ):
+                told.show(shown)
+                opened.get_by_role("button", name="6 Taps" if shown == "ring-shown" else "5 Screen").click()
+                opened.get_by_role("button", name=button).click()
+                expect(mark).to_be_visible()
+                if shown == "cross-shown":
+                    opened.get_by_role("button", name="Stop").last.click()
+            os.kill(server.process.pid, signal.SIGKILL)
+            server.process.wait(PATIENCE_S)
+            expect(said).to_contain_text("touchd web does not answer")
+            expect(mark).to_be_hidden()
+            with web(where, "--wizard", socket, port=server.port):
+                expect(mark).to_be_visible()
+                expect(opened.get_by_role("alert")).to_be_hidden()
+
+
 def test_keypad(browser: Browser, tmp_path: Path) -> None:
     """A keypad's keys are drawn, like all that the plate has; its touches are not. Asked for by name they are, with a
     session alone."""
@@ -371,6 +434,26 @@ def test_marks(browser: Browser, server: Web, told: Wizard) -> None:
             assert middle == pytest.approx((0.9 * wide, 0.9 * high), abs=1)
 
 
+def test_refusal(browser: Browser, server: Web, told: Wizard) -> None:
+    """Why a command was refused can be read while the wizard goes on, until the next command or step; a button that
+    discards taps says so."""
+    with page(browser, server.url) as opened:
+        told.show("untouched")
+        measuring(opened)
+        told.refusal = "0.005 mm is no thickness"
+        opened.get_by_role("button", name="Save the measures").click()
+        alert = opened.get_by_role("alert")
+        expect(alert).to_have_text(told.refusal)
+        for share in (0.6, 0.8):
+            told.show("untouched", share=share)
+            expect(opened.locator("progress")).to_have_js_property("value", share)
+            expect(alert).to_have_text(told.refusal)
+        opened.get_by_role("button", name="2 Untouched").click()
+        expect(alert).to_be_hidden()
+        told.show("taps", running=None)
+        expect(opened.get_by_role("button", name="Begin again, without the 13 taps")).to_be_visible()
+
+
 def test_steps(browser: Browser, server: Web, told: Wizard) -> None:
     """A step that is done can be looked at again; the wizard's next one comes to the front when it begins. No cross is
     shown on a page that does not fill the screen: it would stand in a wrong place."""
@@ -391,9 +474,13 @@ def test_steps(browser: Browser, server: Web, told: Wizard) -> None:
             Object.defineProperty(screen, 'width', { value: 2 * innerWidth });
             Element.prototype.requestFullscreen = () => Promise.reject(new TypeError('not allowed'));
         }""")
-        opened.get_by_role("button", name="Touch the crosses").click()
-        expect(opened.get_by_role("alert")).to_contain_text("This page does not fill the screen")
-        expect(opened.locator(".stage")).to_be_hidden()
+        for lacks in ("null", "Element.prototype.requestFullscreen = undefined"):  # as on an iPhone
+            opened.evaluate(lacks)
+            opened.get_by_role("button", name="5 Screen").click()
+            expect(opened.get_by_role("alert")).to_be_hidden()
+            opened.get_by_role("button", name="Touch the crosses").click()
+            expect(opened.get_by_role("alert")).to_contain_text("This page does not fill the screen")
+            expect(opened.locator(".stage")).to_be_hidden()
         assert told.asked == ["measures"]
 
 
@@ -421,10 +508,12 @@ def test_no_number(browser: Browser, server: Web, told: Wizard) -> None:
                 assert field.evaluate("one => one.validationMessage").startswith(f"{said}{text}” is no number")
                 assert opened.evaluate("document.activeElement.name") == name
             field.fill(before)
-        opened.locator("[name=width_mm]").fill(" 110,5 ")
-        opened.get_by_role("button", name="Save the measures").click()
-        expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
-        assert [plate["plate"]["width_mm"] for plate in told.saved] == [110.5]
+        for text in (" 110,5 ", "１１０．５"):  # noqa: RUF001 - as a Japanese keyboard types it
+            opened.locator("[name=width_mm]").fill(text)
+            opened.get_by_role("button", name="Save the measures").click()
+            expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
+            opened.get_by_role("button", name="1 Measures").click()
+        assert [plate["plate"]["width_mm"] for plate in told.saved] == [110.5, 110.5]
 
 
 def test_measures_of_another_page(browser: Browser, server: Web, told: Wizard) -> None:

@@ -117,13 +117,15 @@ class Wizard:
         """Commands of the page."""
         self.saved: list[Any] = []
         """Measures that it sent."""
+        self.refusal = ""
+        """Why each command is refused; empty if none is."""
         self.ended = threading.Event()
         self.changed = threading.Condition()
 
     def forget(self) -> None:
         """Know nothing, as at the start."""
         with self.changed:
-            self.state, self.asked, self.saved = dict(NOTHING), [], []
+            self.state, self.asked, self.saved, self.refusal = dict(NOTHING), [], [], ""
             self.changed.notify_all()
 
     def show(self, name: str, **changes: Any) -> None:
@@ -149,7 +151,7 @@ def wizard(path: Path) -> Iterator[Wizard]:
                 served.asked.append(asked["do"])
                 if asked["do"] == "measures":
                     served.saved.append(asked["plate"])
-                self._say({"ok": True})
+                self._say({"ok": not served.refusal, "problem": served.refusal})
 
         def _watch(self) -> None:
             said = None

@@ -62,6 +62,8 @@ def open_feed(control: Path, bus: str | None, stop: threading.Event) -> DaemonSo
     if source is not None:
         return source
     if _publishes(bus, stop):
+        if (source := open_daemon(control)) is not None:  # it started meanwhile
+            return source
         raise BusError(
             "a daemon runs, but does not listen there", str(control),
             "set control.socket, the same for the daemon and touchd wizard, and start both again",

@@ -19,9 +19,9 @@ from touchd.calibration.taps import refine, taps_of
 from touchd.calibration.wizard.frames import Progress, Stopped
 from touchd.calibration.wizard.state import State
 from touchd.child import verb
-from touchd.errors import CalibrationError, ModelMissing, PlatePoor, TouchdError, TrainingError
+from touchd.errors import CalibrationError, ModelError, ModelMissing, PlatePoor, TouchdError, TrainingError
 from touchd.localization.atlas import atlas_path, load_atlas
-from touchd.localization.model_file import digest, install, previous_path
+from touchd.localization.model_file import digest, install, installed, previous_path
 from touchd.recording.format import read, write
 from touchd.service.control import take_model
 
@@ -98,6 +98,8 @@ def _run(asked: list[str], state: State, stop: threading.Event, progress: Progre
         status = child.wait()
     if stop.is_set():
         raise Stopped
+    if status < 0:  # what it said last is no reason
+        last = f"signal {-status} ended it -> if that is 9, memory ran out: add memory or swap, and try again"
     return status, result, last
 
 
@@ -119,14 +121,25 @@ class Trial:
         self._state, self._target, self._control = state, target, control
 
     def begin(self, model: Path) -> None:
-        """Put a model in use; the one from before the first try is kept. See `take_model` for what a daemon refuses."""
+        """Put a model in use; the one from before the first try is kept.
+
+        One that the daemon refuses does not stay: a daemon would not start with it. See `take_model` for the errors.
+        """
         if self._state["before"] is None:  # first: whoever is killed in between goes back to what runs
             self._state.set(before=digest(self._target))
         try:
-            install(model, self._target, keep=digest(self._target) == self._state["before"])
+            with installed(model, self._target, keep=digest(self._target) == self._state["before"]):
+                self.look()
+                self._hand()
         finally:
             self.look()
-        take_model(self._control, self._target)
+
+    def _hand(self) -> None:
+        try:
+            take_model(self._control, self._target)
+        except ModelError as error:
+            fix = "mend that, and try again: what was in use before is in its place again"
+            raise ModelError(error.what, error.where, fix) from error
 
     def take(self) -> None:
         """End the trial: its model stays in use."""
@@ -136,6 +149,8 @@ class Trial:
     def go_back(self) -> None:
         """End the trial with the model from before it; ModelMissing if none ran, or it is kept no longer."""
         before, kept = self._state["before"], previous_path(self._target)
+        if before is None:  # a double click, or another page: no trial is left to end
+            return
         if not before:
             raise ModelMissing("no model ran before", str(self._target), "keep this one, or calibrate again")
         if digest(self._target) != before:  # else `touchd model rollback` has been there

@@ -100,10 +100,11 @@ class State:
         return check_plate_file(self["plate"] or {}, "measures")
 
     def is_another(self, tables: dict[str, Any]) -> bool:
-        """Return whether these measures are of a plate of another size, thickness or material."""
-        plate = check_plate_file(tables, "measures").described()
+        """Return whether these measures are of another size, thickness, material or number of receivers."""
+        new = check_plate_file(tables, "measures")
         with contextlib.suppress(PlateFileInvalid):
-            return self.said().described() != plate
+            old = self.said()
+            return old.described() != new.described() or len(old.discs.receivers_mm) != len(new.discs.receivers_mm)
         return True
 
     def differs(self, tables: dict[str, Any]) -> bool:
@@ -117,7 +118,7 @@ class State:
         """Take what a person measured; PlateFileInvalid says what is wrong with it.
 
         Discard the fit if any measure changes: its model is of the plate as it was measured before. Discard taps if
-        size, thickness or material change: their labels are crosses on the drawing from before.
+        size, thickness, material or the number of receivers change: no fit on the new drawing can use them.
         """
         said = check_plate_file(tables, "measures").model_dump(mode="json", exclude_unset=True, exclude_none=True)
         differs, another = self.differs(tables), self.is_another(tables)

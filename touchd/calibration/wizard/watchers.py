@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import socket
+from collections.abc import Callable
 from pathlib import Path
 
 from touchd.calibration.wizard import MOST_BYTES
@@ -30,12 +31,16 @@ async def watch(state: State, reader: asyncio.StreamReader, writer: asyncio.Stre
         left.cancel()
 
 
-async def stay(path: Path, ended: asyncio.Event) -> None:
-    """Wait for the end, and bring the socket's file back if somebody removes it; BusError if it cannot come back."""
+async def stay(path: Path, ended: asyncio.Event, look: Callable[[], object]) -> None:
+    """Wait for the end, call `look` each second, and bring the socket's file back if somebody removes it.
+
+    Raises BusError if it cannot come back.
+    """
     kept = KeptSocketFile(path, socket.SOCK_STREAM)
     try:
         while not ended.is_set():
             kept.look()
+            look()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), _LOOK_S)
     finally:

@@ -19,12 +19,13 @@ from typing import Any
 import structlog
 
 from touchd.calibration.wizard import MOST_BYTES
-from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_crosses, take_untouched
+from touchd.calibration.wizard.frames import Stopped, keep, open_feed, shown, take_crosses, take_untouched
 from touchd.calibration.wizard.models import Trial, compare, fit, train
 from touchd.calibration.wizard.state import State, collect, tell, undo
 from touchd.calibration.wizard.watchers import stay, watch
+from touchd.config.load import load
 from touchd.errors import BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
-from touchd.files import socket_file
+from touchd.files import socket_file, stamps_of
 from touchd.service.signals import stops
 from touchd.service.systemd import Notifier
 
@@ -62,6 +63,8 @@ class Worker:
         self._state, self._control, self._seconds = state, control, seconds
         self._trial = Trial(state, target, control)
         self._config, self._handed, self._bus = config, handed, bus
+        self._others = target, config
+        self._seen = stamps_of(*self._others)
         self._one = threading.Lock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -78,6 +81,20 @@ class Worker:
         self._trial.look()
         if self._state["running"]:
             self._run(self._state["running"])
+
+    def look(self) -> None:
+        """Look which model runs and where the screen lies, once `touchd model` or `touchd map` has changed that."""
+        found = stamps_of(*self._others)
+        if found == self._seen or not self._one.acquire(blocking=False):  # a command may be trying a model
+            return
+        self._seen = found
+        try:
+            self._trial.look()
+            self._state.set(mapping=shown(load(self._config if self._config.exists() else None).input))
+        except TouchdError as error:
+            log.error("another program's model or configuration is not read", error=str(error))
+        finally:
+            self._one.release()
 
     def end(self) -> None:
         """End the job that runs, to be resumed by another process."""
@@ -270,7 +287,7 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
         worker.resume()
         ready()
         manager.ready()
-        await stay(path, ended)
+        await stay(path, ended, worker.look)
         manager.stopping()
         server.close()
         await asyncio.to_thread(worker.end)

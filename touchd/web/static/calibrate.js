@@ -4,6 +4,7 @@ import { element, number, post, say } from './dom.js';
 import { measures } from './measures.js';
 import { drawing } from './drawing.js';
 import { onScreen, stage } from './stage.js';
+import { Status } from './status.js';
 import { training } from './training.js';
 import { trial } from './trial.js';
 
@@ -27,7 +28,7 @@ export function mount(root, page) {
   const drops = element('p', { class: 'muted', hidden: true });
   const listen = button(t.untouched.start, 'untouched', true), stop = button(t.untouched.stop, 'pause');
   const again = button(t.fit.again, 'fit');
-  const verdict = element('div', { class: 'fitted' });
+  const verdict = element('div', { class: 'fitted' }), begin = button('', 'begin');
   const pane = drawing(t.taps.pane), tapped = element('p', { class: 'tapped', role: 'status' });
   const told = element('p', { class: 'muted' }), most = element('b');
   const scale = element('p', { class: 'scale', hidden: true }, element('b', {}, '0'), element('i'), most), expected = element('p', { class: 'muted' });
@@ -53,12 +54,12 @@ export function mount(root, page) {
     panel('train', element('p', { class: 'muted' }, t.train.hint), learning.root),
   ];
   root.append(steps, problem, inUse.root, ...panels, overlay.root);
-  let shown = '', awaited = '', unseen = false, timer = 0, reached = '', chosen = '', staged = '', begun = false;
+  let shown = '', awaited = '', unseen = false, timer = 0, reached = '', ran = null, refused = false, status = null, chosen = '', staged = '', begun = false;
 
   async function act(command) {
     const done = await post('calibrate/do', JSON.stringify(command)).catch(() => null);
     const answer = done?.status === 401 ? { problem: texts.no_session } : await done?.json().catch(() => null) ?? { problem: t.failed };
-    fault(answer.ok ? '' : answer.problem, answer.fix);
+    refuse(!answer.ok && [answer.problem, answer.fix]);
     return answer.ok;
   }
 
@@ -66,27 +67,40 @@ export function mount(root, page) {
   async function showOn(job) {
     [staged, begun] = [job, false];
     overlay.show('', null, '');
-    if (!await overlay.open()) fault(...t.stage.too_small);
+    if (!await overlay.open()) refuse(t.stage.too_small);
     else if (feed.last.calibrate.running === job || await act({ do: job })) update(feed.last.calibrate);
     else overlay.close();
   }
 
-  function fault(what, fix) {
-    say(problem, [what, fix].filter(Boolean).join(' → ').replaceAll(' -> ', ' → '));
-    problem.hidden = !what;
+  // Shows what was refused here, until the next command, step or job, else what the wizard says.
+  function fault() {
+    const { wizard, problem: what, fix } = feed.last.calibrate ?? {};
+    const said = wizard === false ? t.no_wizard : refused || [what, fix];
+    say(problem, said.filter(Boolean).join(' → ').replaceAll(' -> ', ' → '));
+    problem.hidden = !problem.textContent;
+  }
+
+  function refuse(said) {
+    refused = said;
+    fault();
   }
 
   function choose(step) {
-    chosen = step;
-    update(feed.last.calibrate);
+    [chosen, refused] = [step, false];
+    refresh();
+  }
+
+  function refresh() {
+    if (feed.last.calibrate) update(feed.last.calibrate);
   }
 
   function update(state) {
     for (const each of [inUse.root, ...panels]) each.hidden = true;
     steps.hidden = !state.wizard;
-    if (!state.wizard) { overlay.close(); fault(...t.no_wizard); return; }
-    if (state.problem || state.running) fault(state.problem, state.fix);
-    else if (problem.textContent.startsWith(t.no_wizard[0])) fault('');
+    if (state.running !== ran || (feed.state === 'open' && refused?.[0] === t.failed)) refused = false;
+    ran = state.running;
+    fault();
+    if (!state.wizard) { overlay.close(); return; }
     const { running: job, plate, result } = state, listening = job === 'untouched', fitting = job === 'fit', taught = job === 'train';
     const step = listening ? 'untouched' : fitting ? 'fit' : taught ? 'train' : job === 'taps' ? 'taps' : job === 'crosses' ? 'screen' : result ? 'verdict' : plate ? 'untouched' : 'measures';
     if (step !== reached && !['screen', 'train'].includes(reached)) chosen = step; // what came of these is looked at where it was
@@ -137,12 +151,14 @@ export function mount(root, page) {
       return;
     }
     begun = true;
-    if (staged === 'crosses') overlay.show('cross', cross?.at, cross ? t.stage.cross(cross.number, cross.of) : '', cross && !cross.at ? t.stage.silent : unseen ? t.taps.unseen : '', 'warning');
-    else overlay.show('ring', target && !note && onScreen(target, mapping), t.stage.target, tapped.textContent, tapped.dataset.level);
+    const held = status?.held();
+    if (staged === 'crosses') overlay.show('cross', !held && cross?.at, cross ? t.stage.cross(cross.number, cross.of) : '', held || (cross && !cross.at ? t.stage.silent : unseen ? unheard() : ''), 'warning');
+    else overlay.show('ring', !held && target && !note && onScreen(target, mapping), t.stage.target, held || tapped.textContent, held ? 'failure' : tapped.dataset.level);
   }
 
   function showVerdict({ result, runs, compared, taps }) {
     const key = JSON.stringify([result, runs, compared, taps.length > 0]);
+    say(begin, t.verdict.begin(taps.length));
     if (key === shown) return;
     const fresh = JSON.stringify(result) !== verdict.dataset.result;
     shown = key;
@@ -156,7 +172,7 @@ export function mount(root, page) {
     if (result.model && runs !== 'fitted') row.append(button(v.try, 'try', true));
     if (runs) row.append(element('button', { type: 'button', onclick: () => choose('screen') }, t.screen.next));
     if (result.model && taps.length) row.append(button(v.compare, 'compare'));
-    row.append(button(v.begin, 'begin'));
+    row.append(begin);
     const comparison = Object.entries(compared ?? {}).map(([name, one]) =>
       `${v.compared[name]}: ${one.problem ?? v.fits(one.used, one.taps, number(one.scatter_mm, 1), number(100 * one.unexplained, 2))}`);
     verdict.replaceChildren(
@@ -181,11 +197,15 @@ export function mount(root, page) {
     say(expected, heat ? t.taps.expected(number(heat.median_mm, 2), number(heat.fitted_mm, 2), taps.length) : '');
     say(most, heat ? `${number(heat.top_mm, 1)} ${texts.units.mm}` : '');
     awaitTap({ tapping: tapping && !note || cross, taps: taps.length, last, target });
-    tapped.dataset.level = unseen ? 'warning' : last ? (last.ok ? 'ok' : 'failure') : '';
+    tapped.dataset.level = unseen || (tapping && note) ? 'warning' : last ? (last.ok ? 'ok' : 'failure') : '';
     const result = last && !unseen ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';
-    const missing = tapping && (note || (unseen ? t.taps.unseen : !last && t.taps.waiting));
+    const missing = tapping && (note || (unseen ? unheard() : !last && t.taps.waiting));
     say(tapped, [t.taps.count(taps.length), result, missing].filter(Boolean).join(' · '));
     say(told, known ? [known.repeats ? t.taps.scatter(number(known.scatter_mm, 1), known.repeats) : t.taps.off(number(known.off_mm, 1)), known.orientation && t.taps.turned(known.orientation)].filter(Boolean).join(' ') : '');
+  }
+
+  function unheard() {
+    return staged === 'crosses' && feed.last.health?.state === 'uncalibrated' ? t.stage.no_model : t.taps.unseen;
   }
 
   // Notices when no tap comes for some seconds: one that the gate does not see changes nothing in the state.
@@ -195,10 +215,12 @@ export function mount(root, page) {
     awaited = key;
     unseen = false;
     clearTimeout(timer);
-    if (state.tapping) timer = setTimeout(() => { unseen = true; update(feed.last.calibrate); }, UNSEEN_MS);
+    if (state.tapping) timer = setTimeout(() => { unseen = true; refresh(); }, UNSEEN_MS);
   }
 
   for (const each of [steps, ...panels]) each.hidden = true; // a step chosen before the first state came would be forgotten
-  const end = feed.on('calibrate', update);
-  return () => { clearTimeout(timer); overlay.remove(); end(); };
+  const ends = [feed.on('calibrate', update), feed.on('health', refresh), feed.on('connection', refresh)];
+  status = new Status(texts, feed, refresh);
+  root.prepend(status.root);
+  return () => { clearTimeout(timer); overlay.remove(); status.close(); for (const end of ends) end(); };
 }

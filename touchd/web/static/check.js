@@ -53,5 +53,12 @@ export function mount(root, page) {
     verdict.dataset.level = count('failure') || problem ? 'failure' : count('warning') ? 'warning' : 'ok';
     say(verdict, problem || (running ? t.progress(findings.length) : t.verdict(findings.length, count('failure'), count('warning'))));
   });
-  return () => { end(); status.close(); };
+  // Another server knows nothing of the examination; this one says again that it runs.
+  const lost = feed.on('connection', ({ state }) => {
+    if (state !== 'closed' || !start.disabled) return;
+    start.disabled = false;
+    say(start, t.again);
+    say(verdict, '');
+  });
+  return () => { end(); lost(); status.close(); };
 }

@@ -33,7 +33,8 @@ async function start() {
     if (hello.replay && !location.hash) location.hash = '#replay';
   });
   for (const type of ['health', 'plate']) page.feed.on(type, message => say(document.getElementById('device'), message.device));
-  addEventListener('hashchange', show);
+  // An address with a token that is opened in this page is that of another start of the server.
+  addEventListener('hashchange', () => (location.hash.startsWith(TOKEN) ? location.reload() : show()));
   list();
   show();
 }

@@ -9,8 +9,13 @@ const START = {
 
 const NUMBER = /^\s*[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?\s*$/i;
 
+const FULL_WIDTH = /[！-～]/g, PLAIN = 0xfee0; // as a Japanese keyboard types them
+
 // A number, with a decimal point or comma; NaN of a text that is not wholly one: of "11 cm" a part would be wrong.
-const numeric = text => (NUMBER.test(text) ? Number(String(text).replace(',', '.')) : NaN);
+function numeric(text) {
+  const plain = String(text).replace(FULL_WIDTH, letter => String.fromCharCode(letter.charCodeAt(0) - PLAIN));
+  return NUMBER.test(plain) ? Number(plain.replace(',', '.')) : NaN;
+}
 
 const DRAFT = 'touchd-measures'; // what is typed and not saved, while this tab lives
 

@@ -24,7 +24,7 @@ export function stage(t, stop) {
   async function open() {
     root.hidden = false;
     opening = true;
-    if (!fills()) await root.requestFullscreen().catch(() => null);
+    if (!fills()) await root.requestFullscreen?.().catch(() => null);
     opening = false;
     if (fills()) { end.focus(); return true; }
     close();

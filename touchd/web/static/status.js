@@ -24,6 +24,12 @@ export class Status {
     this.update();
   }
 
+  // What keeps frames from coming; empty while they come.
+  held() {
+    const { level, word, reason } = this.now();
+    return ['failure', 'busy'].includes(level) ? `${word}: ${reason}` : '';
+  }
+
   close() {
     clearInterval(this.timer);
     for (const end of this.ends) end();
@@ -50,7 +56,7 @@ export class Status {
     if (health.state === 'stopping') return state('failure', texts.states.stopping);
     if (silent > SILENT_S) return state('failure', texts.silent(Math.floor(silent)));
     const [word, meaning] = texts.states[health.state] ?? [health.state, ''];
-    if (feed.dataAgeMs > LATE_MS && feed.last.touch?.contacts.length) return state('warning', texts.late((feed.dataAgeMs / 1000).toFixed(1)), false);
+    if (feed.dataAgeMs > LATE_MS && feed.last.touch?.contacts.some(one => one.phase !== 'up')) return state('warning', texts.late((feed.dataAgeMs / 1000).toFixed(1)), false);
     const level = health.state === 'streaming' && health.reason ? 'warning' : LEVELS[health.state] ?? 'warning';
     return state(level, [word, health.reason ?? meaning], false);
   }

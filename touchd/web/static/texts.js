@@ -5,7 +5,7 @@ export const texts = {
   views: { live: 'Live', replay: 'Replay', calibrate: 'Calibrate', check: 'Check' },
   navigation: 'Views',
   theme: { auto: 'Colours: system', light: 'Colours: light', dark: 'Colours: dark' },
-  no_session: 'To act, open the address that touchd web printed at its start.',
+  no_session: 'To act, open the address that touchd web printed at its start; of the service: journalctl -u touchd-web | grep open',
 
   states: {
     starting: ['Starting', 'The daemon is opening its device.'],
@@ -18,7 +18,7 @@ export const texts = {
   connecting: ['Connecting', 'The page asks touchd web.'],
   no_server: ['No connection', 'touchd web does not answer. The page keeps trying.'],
   no_daemon: ['No daemon', 'No daemon publishes on this bus. systemctl status touchd'],
-  silent: s => [`No data for ${s} s`, 'The daemon says nothing. What is shown is old.'],
+  silent: s => [`No data for ${s} s`, 'The daemon says nothing, and what is shown is old. systemctl status touchd'],
   late: s => [`Late by ${s} s`, 'The computer is too busy to keep up with the frames.'],
   keypad_hidden: 'Keypad: touches are not shown, since they tell the PIN.',
 
@@ -95,7 +95,7 @@ export const texts = {
       no_number: (name, text) => `${name}: “${text}” is no number. Type millimetres without a unit, at most with a decimal point.`,
       others: 'Other measures were saved meanwhile. Yours are not saved: save them to replace those, or load the page again to see those.',
       drops_fit: 'If you change any measure, the wizard discards the fit: fit again.',
-      drops: n => `If you change size, thickness or material, the wizard discards ${n === 1 ? 'the tap: it belongs' : `the ${n} taps: they belong`} to the old drawing.`,
+      drops: n => `If you change size, thickness, material or the number of receivers, the wizard discards ${n === 1 ? 'the tap' : `the ${n} taps`}.`,
     },
     untouched: {
       hint: 'Take everything off the plate. Its own sound tells what it is.',
@@ -116,7 +116,7 @@ export const texts = {
       try: 'Try this model', compare: 'Compare both on the taps',
       comparison: 'On the taps', compared: { new: 'this model', tried: 'the one on trial', old: 'the model from before' },
       fits: (used, all, mm, share) => `${used} of ${all} taps fit, ${mm} mm from the targets, ${share} % unexplained`,
-      begin: 'Begin again',
+      begin: n => (n ? `Begin again, without ${n === 1 ? 'the tap' : `the ${n} taps`}` : 'Begin again'),
     },
     screen: {
       hint: 'For a plate over a screen: open this page on that screen, and touch the crosses. They tell where the screen lies. If they are refused as mirrored, do the taps first.',
@@ -130,6 +130,7 @@ export const texts = {
       too_small: ['This page does not fill the screen', 'press F11, set zoom to 100 %, and try again'],
       cross: (n, all) => `Touch the middle of the cross: ${n}\u00a0of\u00a0${all}`, target: 'Tap the ring with a fingertip, for half a second.',
       silent: 'The daemon says nothing. The crosses go on once it runs: systemctl status touchd',
+      no_model: 'The daemon has no model, and so sees no touch: fit one, and try it, first.',
     },
     taps: {
       hint: 'Optional: three taps tell a mirrored drawing, twenty how well you hit, fifty correct what clamp or ruler leave uncertain. Tap the ring with a fingertip, for half a second.',
@@ -150,7 +151,7 @@ export const texts = {
       hint: 'Optional: a network learns from a recording of touches at known places, as a robot or touchd record --label makes it. The service sees no home folder: sudo install -m 644 touches.npz /var/lib/touchd/. It takes some ten minutes, and goes on when this page is closed.',
       recording: 'Labelled recording, a path on the plate’s computer', recipe: 'Recipe', start: 'Train', log: 'Log of the training',
       recipes: { atlas: 'atlas: network and field', best: 'best: network alone', small: 'small: a tenth of the work' },
-      running: what => `Training: ${what} …`, stages: { field: 'the touch’s field', network: 'the network' },
+      running: what => (what ? `Training: ${what} …` : 'Training …'), stages: { field: 'the touch’s field', network: 'the network' },
       untrainable: why => `This computer cannot train: ${why}`,
       trained: (mm, n) => `Trained: ${mm} mm in the median, on ${n} touches that it had not seen.`,
       try: 'Try the trained model',

@@ -2,7 +2,7 @@
 import { element, number, say } from './dom.js';
 
 export function training(t, act) {
-  const recording = element('input', { name: 'recording', autocomplete: 'off', spellcheck: 'false', required: '' });
+  const recording = element('input', { name: 'recording', autocomplete: 'off', spellcheck: 'false', maxlength: 4096, required: '' });
   const recipe = element('select', { name: 'recipe' }, ...Object.entries(t.recipes).map(([value, text]) => element('option', { value }, text)));
   const start = element('button', { type: 'submit', class: 'primary' }, t.start);
   const form = element('form', { onsubmit: event => { event.preventDefault(); act({ do: 'train', recording: recording.value, recipe: recipe.value }); } },

@@ -25,7 +25,7 @@ from touchd.calibration.wizard.state import NOTHING, State
 from touchd.calibration.wizard.worker import Worker, serve
 from touchd.cli.main import main
 from touchd.errors import CalibrationError, ModelError, OutputError
-from touchd.localization.model_file import install
+from touchd.localization.model_file import digest, install
 from touchd.service.systemd import Notifier
 
 
@@ -264,24 +264,38 @@ def test_refused_model(before: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     def refuse(*_: object, **_options: object) -> None:
         raise OutputError("a model's name ends in .onnx", "/x/plate", "correct model.path")
 
-    monkeypatch.setattr(models, "install", refuse)
+    monkeypatch.setattr(models, "installed", refuse)
     said = worker.answer({"do": "try"})
     assert said == {"ok": False, "problem": "/x/plate: a model's name ends in .onnx", "fix": "correct model.path"}
     assert state.all() == known
 
 
-def test_model_that_the_daemon_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A daemon's refusal of a model on trial is shown with the reason, and one can go back."""
+def test_fit_that_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a fit that the system kills for its memory the page says so, and what to do."""
+    worker, state = made(tmp_path)
+    monkeypatch.setattr(models, "verb", lambda *_: ["sh", "-c", "echo a warning; kill -9 $$"])
+    worker.answer({"do": "fit"})
+    await_that(lambda: state["running"] is None)
+    assert "signal 9 ended it -> if that is 9, memory ran out: add memory" in state["problem"]
+
+
+@pytest.mark.parametrize("before", ["", "small.onnx"])
+def test_model_that_the_daemon_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str) -> None:
+    """A model that the daemon refuses does not stay in use, where the next daemon would not start with it: what was
+    there before is back at once, and the reason is shown."""
     worker, state = made(tmp_path)
     install(SHIPPED, state.model)
-    install(SHIPPED.with_name("small.onnx"), tmp_path / "model.onnx")
+    target = tmp_path / "model.onnx"
+    if before:
+        install(SHIPPED.with_name(before), target)
     worker.resume()
+    was = digest(target)
     with monkeypatch.context() as refusing:
         refused = ModelError("the running daemon refuses it (other frames)", "/x/plate.onnx", "go back")
         refusing.setattr(models, "take_model", Mock(side_effect=refused))
         said = worker.answer({"do": "try"})
     assert said == {"ok": False, "problem": "/x/plate.onnx: the running daemon refuses it (other frames)",
-                    "fix": "go back"}  # fmt: skip
-    assert (state["runs"], bool(state["before"])) == ("fitted", True)
-    assert worker.answer({"do": "rollback"}) == {"ok": True}
-    assert state["runs"] == "before"
+                    "fix": "mend that, and try again: what was in use before is in its place again"}  # fmt: skip
+    assert (state["runs"], state["before"], digest(target)) == ("before" if before else "", None, was)
+    assert worker.answer({"do": "try"}) == {"ok": True}
+    assert (state["runs"], bool(state["before"])) == ("fitted", bool(before))

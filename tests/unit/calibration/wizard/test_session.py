@@ -189,6 +189,17 @@ def test_corrected_edge(tmp_path: Path) -> None:
     assert kept(state.folder) == [0, 1]
 
 
+def test_receiver_more(tmp_path: Path) -> None:
+    """Taps go if a receiver is added: they lack its channel, and a fit with them would be refused for ever."""
+    state = State(tmp_path / "state")
+    state.taps.mkdir()
+    said = measures()
+    state.set_plate(said)
+    take_measured(state, 0)
+    state.set_plate(said | {"discs": said["discs"] | {"receivers_mm": [*said["discs"]["receivers_mm"], [60.0, 20.0]]}})
+    assert (state["taps"], kept(state.folder)) == ([], [])
+
+
 def test_no_taps_without_a_fit(tmp_path: Path) -> None:
     """Before a fit, and after one that made no model, taps are refused with what to do."""
     state = State(tmp_path / "state")

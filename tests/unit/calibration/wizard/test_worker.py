@@ -20,8 +20,9 @@ from hypothesis import strategies as st
 from tests.unit.bridges.events import contact, health, touch
 from touchd.bridges.area import CROSSES, Touched
 from touchd.calibration.plate_file import to_toml
+from touchd.calibration.wizard import frames as frames_module
 from touchd.calibration.wizard import worker as worker_module
-from touchd.calibration.wizard.frames import Stopped, keep, take_crosses
+from touchd.calibration.wizard.frames import Stopped, keep, open_feed, take_crosses
 from touchd.calibration.wizard.kept import held_folder
 from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.worker import ENDING, Worker
@@ -426,6 +427,15 @@ def test_daemon_without_control_socket(tmp_path: Path, publish: Callable[[str, E
     worker.answer({"do": "pause"})
 
 
+def test_daemon_that_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A daemon that has started while the wizard looked for it is taken: no sockets are said to differ."""
+    feed: Any = SimpleNamespace()
+    asked = iter([None, feed])
+    monkeypatch.setattr(frames_module, "open_daemon", lambda _: next(asked))
+    monkeypatch.setattr(frames_module, "_publishes", lambda *_: True)
+    assert open_feed(tmp_path / "control", None, threading.Event()) is feed
+
+
 def test_first_model(tmp_path: Path) -> None:
     """A model is tried where none ran, and taken; one cannot go back, which is said, and the trial stays one."""
     worker, state = made(tmp_path)
@@ -505,6 +515,34 @@ def test_others_change_the_model(tmp_path: Path) -> None:
     said = worker.answer({"do": "rollback"})
     assert "kept no longer" in said["problem"]
     assert said["fix"]
+
+
+def test_trial_ended_elsewhere(tmp_path: Path) -> None:
+    """A trial that `touchd model` ends on a terminal ends on the page; a second click on the way back is no mistake."""
+    worker, state = made(tmp_path)
+    target = tmp_path / "model.onnx"
+    install(SHIPPED, target)
+    install(SHIPPED.with_name("small.onnx"), state.model)
+    worker.answer({"do": "try"})
+    worker.look()
+    assert (state["runs"], bool(state["before"])) == ("fitted", True)
+    rollback(target)
+    worker.look()
+    assert (state["runs"], state["before"]) == ("before", None)
+    worker.answer({"do": "try"})
+    for _ in range(2):
+        assert worker.answer({"do": "rollback"}) == {"ok": True}
+    assert (state["runs"], digest(target)) == ("before", digest(SHIPPED))
+
+
+def test_screen_found_elsewhere(tmp_path: Path) -> None:
+    """Where `touchd map` finds the screen, rings are shown there. A broken configuration changes nothing."""
+    worker, state = made(tmp_path)
+    (config := tmp_path / "config/touchd.toml").parent.mkdir()
+    for text in ("[input]\nscreen_mm = [20, 10, 80, 60]\n", "[input"):
+        config.write_text(text)
+        worker.look()
+        assert state["mapping"]["screen_mm"] == [20.0, 10.0, 80.0, 60.0]
 
 
 def test_begin_again(tmp_path: Path) -> None:
