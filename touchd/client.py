@@ -81,7 +81,8 @@ class Subscriber(Generic[E]):
     Raises
     ------
     BusError
-        If the address, a topic or a key cannot be used; when iterating, if a message is not one of the bus.
+        If the address, a topic or a key cannot be used, or too few files can be opened; when iterating, if a message is
+        not one of the bus.
     BusTimeout
         When iterating, if there was no event for `timeout_s`.
     """
@@ -132,10 +133,9 @@ class Subscriber(Generic[E]):
             pair = curve.load_secret(Path(client_key_file)) if client_key_file is not None else None
             pair = pair or curve.KeyPair(*zmq.curve_keypair())
         elif client_key_file is not None:
-            raise BusError(
-                "a client key is of no use without the server's", self.address, "name the server's key as well"
-            )
+            raise BusError("a client key is of no use without the server's", self.address, "name the server's key, too")
         self._keyed = pair is not None
+        endpoint.refuse_without_descriptors(self.address)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._reconnect: Reconnect | None = None

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 import os
+import resource
 import signal
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -504,6 +505,30 @@ def test_a_forked_process(wire: Wire) -> None:
         wire.wait()
         wire.send(touch(1))
         assert next(events).seq == 1
+
+
+def made_with(free: int, make: Callable[[], object]) -> int:
+    """What becomes of a process that may open so many more files: 0 if `make` succeeds there, 7 if it raises."""
+    child = os.fork()
+    if not child:
+        try:
+            limit = [number for number in range(1000) if not os.path.lexists(f"/proc/self/fd/{number}")][free]
+            resource.setrlimit(resource.RLIMIT_NOFILE, (limit, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+            make()
+            os._exit(0)
+        except BusError as error:
+            os._exit(7 if "ulimit -n" in error.fix else 1)
+        finally:
+            os._exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@pytest.mark.parametrize("make", [Subscriber, lambda: ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)))])
+def test_no_file_can_be_opened(make: Callable[[], object]) -> None:
+    """A program that may open no more files gets an error that says so: libzmq does not abort it."""
+    for free in range(8):
+        assert made_with(free, make) == 7, free
+    assert made_with(40, make) == 0
 
 
 def test_nonsense(wire: Wire) -> None:

@@ -104,6 +104,20 @@ def refuse_forbidden(address: str) -> None:
     )
 
 
+def refuse_without_descriptors(where: str, count: int = 8) -> None:
+    """Raise BusError unless this process may open `count` more files: libzmq aborts the process without them.
+
+    A context with its socket takes six, each of a subscriber's two connections one more.
+    """
+    with contextlib.ExitStack() as opened:
+        try:
+            for _ in range(count):
+                opened.callback(os.close, os.eventfd(0))
+        except OSError as error:
+            fix = "close files, or raise the limit of this process: ulimit -n"
+            raise BusError(f"{count} more files are needed ({error.strerror})", where, fix) from error
+
+
 @contextlib.contextmanager
 def private_file(address: str, group: str) -> Iterator[None]:
     """Bind an `ipc://` address within this context: it refuses a taken path; see `socket_file` for the new one.
