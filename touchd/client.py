@@ -81,7 +81,7 @@ class Subscriber(Generic[E]):
     Raises
     ------
     BusError
-        If the address, a topic or a key cannot be used, or too few files can be opened; when iterating, if a message is
+        If the address, a topic or a key cannot be used, or files or threads are short; when iterating, if a message is
         not one of the bus.
     BusTimeout
         When iterating, if there was no event for `timeout_s`.
@@ -135,7 +135,7 @@ class Subscriber(Generic[E]):
         elif client_key_file is not None:
             raise BusError("a client key is of no use without the server's", self.address, "name the server's key, too")
         self._keyed = pair is not None
-        endpoint.refuse_without_descriptors(self.address)
+        endpoint.refuse_without_resources(self.address)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._reconnect: Reconnect | None = None

@@ -531,6 +531,17 @@ def test_no_file_can_be_opened(make: Callable[[], object]) -> None:
     assert made_with(40, make) == 0
 
 
+def test_no_thread_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program whose user may have no more threads gets an error that says so: libzmq does not abort it."""
+
+    def start(_thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    with pytest.raises(BusError, match=r"2 more threads are needed \(can't start new thread\) -> .*TasksMax="):
+        Subscriber()
+
+
 def test_nonsense(wire: Wire) -> None:
     """What is no time is refused."""
     with pytest.raises(BusError, match="age"):

@@ -92,8 +92,13 @@ class Recorder:
         self._epoch_ns = 0
         self._writing: Future[Path] | None = None
         self._queued = 0  # frames that it writes
-        prepare(path, self._single)
         self._writer = ThreadPoolExecutor(1, "touchd-recorder")
+        try:
+            self._writer.submit(int)  # the thread starts now: at the end, without one, the frames would be lost
+        except RuntimeError as error:
+            fix = "end programs of this user, or raise its limit: ulimit -u"
+            raise OutputError(f"no thread can write it ({error})", str(path), fix) from error
+        prepare(path, self._single)
 
     def keep(self, frame: Frame) -> None:
         """Record a frame.
