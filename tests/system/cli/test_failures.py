@@ -263,6 +263,8 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         lambda _w: ("web", "--replay", "x" * 5000),
         ("check the path",),
     ),
+    "an empty variable for a model": (errors.ModelMissing, bound("--model", ""), ("Is a directory", "check the path")),
+    "a root folder for a model": (errors.ModelMissing, lambda _w: ("check", "/", "x.npz"), ("/: cannot be read",)),
     "a model of a name too long for any": (errors.ModelMissing, bound("--model", "x" * 5000), ("check the path",)),
     "two sources": (errors.SourceError, bound("--simulate", "tap"), ("--simulate",)),
     "an unknown scene": (errors.SimulationError, lambda _w: ("--simulate", "dance"), ("'dance'", "swipe")),
