@@ -259,9 +259,9 @@ class Subscriber(Generic[E]):
         try:
             self._socket.setsockopt(zmq.IPV6, int("[" in address))
             self._socket.connect(address)
-        except zmq.ZMQError as error:
+        except (zmq.ZMQError, UnicodeError) as error:  # of a name on the command line that is no UTF-8
             raise BusError(
-                f"not an address ({error.strerror})",
+                f"not an address ({getattr(error, 'strerror', 'no UTF-8')})",
                 address,
                 f"write tcp://HOST:PORT or ipc:///PATH, for example {DEFAULT_ADDRESS}",
             ) from error

@@ -311,7 +311,9 @@ def test_a_flood_of_other_topics(wire: Wire, monkeypatch: pytest.MonkeyPatch) ->
             events.receive(0.01)
 
 
-@pytest.mark.parametrize("address", ["", "127.0.0.1:5570", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "http://x:1"])
+@pytest.mark.parametrize(
+    "address", ["", "127.0.0.1:5570", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "http://x:1", "ipc:///run/\udcff"]
+)
 def test_what_is_no_address_is_refused_at_once(address: str) -> None:
     with pytest.raises(BusError, match="write tcp://HOST:PORT"):
         Subscriber(address)
