@@ -81,7 +81,8 @@ class Subscriber(Generic[E]):
     Raises
     ------
     BusError
-        If the address, a topic or a key cannot be used; when iterating, if a message is not one of the bus.
+        If the address, a topic or a key cannot be used, or files or threads are short; when iterating, if a message is
+        not one of the bus.
     BusTimeout
         When iterating, if there was no event for `timeout_s`.
     """
@@ -132,10 +133,9 @@ class Subscriber(Generic[E]):
             pair = curve.load_secret(Path(client_key_file)) if client_key_file is not None else None
             pair = pair or curve.KeyPair(*zmq.curve_keypair())
         elif client_key_file is not None:
-            raise BusError(
-                "a client key is of no use without the server's", self.address, "name the server's key as well"
-            )
+            raise BusError("a client key is of no use without the server's", self.address, "name the server's key, too")
         self._keyed = pair is not None
+        endpoint.refuse_without_resources(self.address)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._reconnect: Reconnect | None = None
@@ -259,9 +259,9 @@ class Subscriber(Generic[E]):
         try:
             self._socket.setsockopt(zmq.IPV6, int("[" in address))
             self._socket.connect(address)
-        except zmq.ZMQError as error:
+        except (zmq.ZMQError, UnicodeError) as error:  # of a name on the command line that is no UTF-8
             raise BusError(
-                f"not an address ({error.strerror})",
+                f"not an address ({getattr(error, 'strerror', 'no UTF-8')})",
                 address,
                 f"write tcp://HOST:PORT or ipc:///PATH, for example {DEFAULT_ADDRESS}",
             ) from error

@@ -19,6 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 from tests.processes import ROOT, environment
+from touchd.lab.arguments import within
 
 LIMIT_S = 10.0
 LATEST_S = 4.0
@@ -69,8 +70,8 @@ def interrupted(after_s: float, working: bool, group: bool, limit_s: float = LIM
 def main() -> int:
     """Interrupt many runs, and return 1 if one did not end in time."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--tries", type=int, default=300)
-    parser.add_argument("--beside", type=int, default=2, help="tries at a time")
+    parser.add_argument("--tries", type=within(int, 1), default=300)
+    parser.add_argument("--beside", type=within(int, 1, 100), default=2, help="tries at a time")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--show", action="store_true", help="print each try")
     arguments = parser.parse_args()

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 import os
+import resource
 import signal
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -310,7 +311,9 @@ def test_a_flood_of_other_topics(wire: Wire, monkeypatch: pytest.MonkeyPatch) ->
             events.receive(0.01)
 
 
-@pytest.mark.parametrize("address", ["", "127.0.0.1:5570", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "http://x:1"])
+@pytest.mark.parametrize(
+    "address", ["", "127.0.0.1:5570", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "http://x:1", "ipc:///run/\udcff"]
+)
 def test_what_is_no_address_is_refused_at_once(address: str) -> None:
     with pytest.raises(BusError, match="write tcp://HOST:PORT"):
         Subscriber(address)
@@ -504,6 +507,41 @@ def test_a_forked_process(wire: Wire) -> None:
         wire.wait()
         wire.send(touch(1))
         assert next(events).seq == 1
+
+
+def made_with(free: int, make: Callable[[], object]) -> int:
+    """What becomes of a process that may open so many more files: 0 if `make` succeeds there, 7 if it raises."""
+    child = os.fork()
+    if not child:
+        try:
+            limit = [number for number in range(1000) if not os.path.lexists(f"/proc/self/fd/{number}")][free]
+            resource.setrlimit(resource.RLIMIT_NOFILE, (limit, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+            make()
+            os._exit(0)
+        except BusError as error:
+            os._exit(7 if "ulimit -n" in error.fix else 1)
+        finally:
+            os._exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@pytest.mark.parametrize("make", [Subscriber, lambda: ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)))])
+def test_no_file_can_be_opened(make: Callable[[], object]) -> None:
+    """A program that may open no more files gets an error that says so: libzmq does not abort it."""
+    for free in range(8):
+        assert made_with(free, make) == 7, free
+    assert made_with(40, make) == 0
+
+
+def test_no_thread_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program whose user may have no more threads gets an error that says so: libzmq does not abort it."""
+
+    def start(_thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    with pytest.raises(BusError, match=r"2 more threads are needed \(can't start new thread\) -> .*TasksMax="):
+        Subscriber()
 
 
 def test_nonsense(wire: Wire) -> None:

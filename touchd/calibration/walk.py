@@ -155,6 +155,11 @@ class Walk:
         self._pipeline.reset()
         self._go(self.next)
 
+    @property
+    def complete(self) -> int:
+        """How many acts are complete."""
+        return len(self._done)
+
     def count(self, name: str) -> tuple[int, int]:
         """Return how many acts of a name are complete, and how many there are."""
         return sum(task.name == name for task, *_ in self._done.values()), sum(t.name == name for t in self.tasks)

@@ -6,6 +6,7 @@ import errno
 import importlib
 import os
 import sys
+import tempfile
 import traceback
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +19,7 @@ from touchd import __version__
 from touchd.cli.options import PATH, NumberRange, chosen, source_options
 from touchd.cli.output import discard, say
 from touchd.errors import ConfigError, MissingExtra, ModelMissing, OutputError, TouchdError
+from touchd.files import CHECK
 from touchd.service.signals import deliver, unwound
 
 if TYPE_CHECKING:
@@ -210,8 +212,8 @@ def _explain(error: Exception, debug: bool) -> int:
     """Print the error in one line, after its traceback if `debug`, and return the exit status."""
     if debug:
         traceback.print_exception(error)
-    if isinstance(error, OSError) and error.errno in _FULL:
-        error = _unprintable(error)
+    if isinstance(error, OSError):
+        error = _unwritable(error)
     if isinstance(error, TouchdError):
         say(f"touchd: {error}", err=True)
         return error.exit_code
@@ -227,8 +229,18 @@ def _place(error: Exception) -> str:
     return f" in {Path(own[-1].filename).relative_to(package.parent)}, line {own[-1].lineno}" if own else ""
 
 
-def _unprintable(error: OSError) -> OutputError:
-    """Return what to do about a line that could not be printed: files have an OutputError of their own."""
+def _unwritable(error: OSError) -> Exception:
+    """Return what to do about a printed line or a temporary file that cannot be written: others have an OutputError."""
+    if error.filename is None:
+        try:
+            tempfile.gettempdir()
+        except OSError:
+            fix = "name a folder that this user may write to: TMPDIR=FOLDER"
+            return OutputError("no folder for temporary files can be written", "TMPDIR", fix)
+    if error.errno not in _FULL:
+        return error
+    if error.filename is not None:
+        return OutputError(f"cannot be written ({error.strerror})", os.fsdecode(error.filename), CHECK)
     try:
         sys.stdout.flush()
     except OSError:

@@ -25,7 +25,7 @@ from touchd.service.frame_feed import DaemonSource, open_running, rate_of
 from touchd.service.runner import frames_of
 from touchd.service.signals import stopping
 from touchd.sources.open import open_source
-from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder, describe_source, prepare, write_beside
+from touchd.sources.recorder import MAX_FILE_FRAMES, GrowingFile, Recorder, describe_source, prepare
 from touchd.sources.source import Change, Source
 
 _TIMEOUT_S = 0.2
@@ -87,7 +87,7 @@ def command(
     Without --label it stores no true contacts.
 
     With --label it asks for ten minutes of touches at places that it names: what a report of a real plate needs, and
-    what `touchd calibrate`, `calibrate --taps` and `check` take.
+    what `touchd calibrate`, `calibrate --taps` and `check` take. Each touch is in the file soon after it is complete.
     """
     if output.suffix == ".npz" and frames is not None and frames > MAX_FILE_FRAMES:
         raise ConfigError(
@@ -185,9 +185,11 @@ def until(stop: Event, source: Source, on_return: Callable[[], object] = lambda:
 
 
 def walk_through(source: Source, output: Path, meta: Meta) -> None:
-    """Walk a person through all acts, and save those that are complete."""
+    """Walk a person through all acts, and save those that are complete, after each."""
     prepare(output, single=True)
-    walk = Walk(source.acquisition, plan(meta.plate))
+    # The plate is told in public, the device's number need not be.
+    meta = meta.model_copy(update={"device": Device(firmware=meta.device.firmware)})
+    walk, file = Walk(source.acquisition, plan(meta.plate)), GrowingFile(output)
     try:
         lines = Lines(sys.stdin.fileno())
     except (OSError, ValueError, AttributeError):
@@ -196,11 +198,18 @@ def walk_through(source: Source, output: Path, meta: Meta) -> None:
     say(f"Enter leaves a touch out, {REPEAT} and Enter repeats the one before, Ctrl-C ends and saves")
     with stopping() as stop:
         try:
-            asked = None
+            asked, kept, problem = None, 0, ""
             for frame in until(stop, source, walk.restart):
                 if asked != walk.asked:
                     asked = walk.asked
                     say(f"{walk.next + 1} of {len(walk.tasks)}: {walk.tasks[walk.next].text}")
+                if walk.complete != kept and not file.busy:
+                    kept = walk.complete
+                    if (found := walk.recording(meta)) is not None:
+                        file.begin(found)
+                if file.problem not in ("", problem):
+                    problem = file.problem
+                    say(f"{problem}; nothing is lost yet: the end saves all", err=True)
                 if frame is not None and (said := walk.feed(frame)):
                     say(said)
                 if (line := lines.take()) is not None:
@@ -211,10 +220,11 @@ def walk_through(source: Source, output: Path, meta: Meta) -> None:
                 if walk.next == len(walk.tasks):
                     break
         finally:  # save what is complete before a failure, too
-            # The plate is told in public, the device's number need not be.
-            found = walk.recording(meta.model_copy(update={"device": Device(firmware=meta.device.firmware)}))
-            if found is not None:
-                saved = _save(output, found, lines, stop)
+            found = walk.recording(meta)
+            if found is None:
+                file.remove()
+            else:
+                saved = _save(file, found, lines, stop)
                 say(f"{saved}: {len(found.frames)} frames of {len(found.meta.acts)} acts saved")
                 say(checklist(walk))
     if found is None:
@@ -222,11 +232,11 @@ def walk_through(source: Source, output: Path, meta: Meta) -> None:
     _refuse_other(output, saved)
 
 
-def _save(output: Path, found: Recording, lines: Lines, stop: Event) -> Path:
+def _save(file: GrowingFile, found: Recording, lines: Lines, stop: Event) -> Path:
     """Write a file and return its path; where that fails, ask at the terminal to make room, and write it again."""
     while True:
         try:
-            return write_beside(output, found)
+            return file.finish(found)
         except OutputError as error:
             if not lines.open:
                 raise

@@ -167,8 +167,9 @@ class ConfigFs:
 
         Raises GadgetError if the process is not root, or the kernel has no support.
         """
-        for module in ("libcomposite", "usb_f_fs"):  # may be built in
-            subprocess.run(["modprobe", "-q", module], check=False)  # noqa: S603, S607 - fixed names
+        for module in ("libcomposite", "usb_f_fs"):
+            with contextlib.suppress(GadgetError):  # may be built in
+                _run("modprobe", "-q", module)
         if not self._gadget.parent.is_dir():
             _run("mount", "-t", "configfs", "none", str(self._gadget.parent.parent))
         self.remove()
@@ -232,7 +233,10 @@ def first_udc(ports: Path = Path("/sys/class/udc")) -> str:
 
 
 def _run(*command: str) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - arguments of our own
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - arguments of our own
+    except OSError as error:  # PATH of a root's shell after `su` lacks /sbin
+        raise GadgetError(f"cannot be run ({error.strerror})", command[0], _NEEDED) from error
     if done.returncode:
         why = done.stderr.strip().partition("\n")[0]
         raise GadgetError(f"{command[0]} failed: {why}", command[-1], _NEEDED)

@@ -16,6 +16,7 @@ import numpy as np
 from touchd.config.schema import Settings
 from touchd.event import TouchEvent
 from touchd.frame import Frame
+from touchd.lab.arguments import within
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.service.daemon import load_model
@@ -104,10 +105,10 @@ def _next(times_s: list[float], start_s: float, stop_s: float) -> float:
 def main() -> None:
     """Print median and 99th percentile, of all landings and of the quick and the slow."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--count", type=int, default=1000)
-    parser.add_argument("--rate", type=float, default=125.0)
-    parser.add_argument("--idle-rate", type=float, default=0.0, help="0 for the same")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--count", type=within(int, 1, 1_000_000), default=1000)
+    parser.add_argument("--rate", type=within(float, 1, 10_000), default=125.0)
+    parser.add_argument("--idle-rate", type=within(float, 0, 10_000), default=0.0, help="0 for the same")
+    parser.add_argument("--seed", type=within(int, 0), default=0)
     asked = parser.parse_args()
     idle_hz, settings = asked.idle_rate or asked.rate, Settings()
     made, more = landings(asked.count, asked.rate, idle_hz, asked.seed, settings)
@@ -116,7 +117,7 @@ def main() -> None:
           f"{more} contacts more")  # fmt: skip
     for name, some in (("all", made), ("quick, < 50 ms", [one for one in made if one.land_s < 0.05]),
                        ("slow, > 90 ms", [one for one in made if one.land_s > 0.09])):  # fmt: skip
-        for what in ("gate", "found", "down"):
+        for what in ("gate", "found", "down") if some else ():
             late_ms = 1e3 * np.array([getattr(one, f"{what}_s") - one.first_s for one in some])
             print(f"{name:15} {what:6} median {np.median(late_ms):6.1f} ms, p99 {np.percentile(late_ms, 99):6.1f} ms")
 

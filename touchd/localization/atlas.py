@@ -115,7 +115,7 @@ class Atlas:
 
 def atlas_path(model: Path) -> Path:
     """Return where the atlas of a network lies: `plate.atlas.npz` for `plate.onnx`."""
-    return model.with_suffix(".atlas.npz")
+    return model.parent / f"{model.stem}.atlas.npz"  # of a folder without a name, too, which whoever opens it refuses
 
 
 def save_atlas(atlas: Atlas, path: Path) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import ipaddress
 import os
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -102,6 +103,32 @@ def refuse_forbidden(address: str) -> None:
     raise BusError(
         "this user may not use the socket", address, "join the group of it and its folder: see ls -l, and adduser"
     )
+
+
+def refuse_without_resources(where: str, files: int = 8, threads: int = 2) -> None:
+    """Raise BusError unless this process may open so many more files, and start so many more threads.
+
+    libzmq aborts the process without them: a context with its socket takes six files and two threads, each of a
+    subscriber's two connections one file more.
+    """
+    with contextlib.ExitStack() as taken:
+        try:
+            for _ in range(files):
+                taken.callback(os.close, os.eventfd(0))
+        except OSError as error:
+            fix = "close files, or raise the limit of this process: ulimit -n"
+            raise BusError(f"{files} more files are needed ({error.strerror})", where, fix) from error
+        done = threading.Event()
+        try:
+            for _ in range(threads):
+                thread = threading.Thread(target=done.wait)
+                thread.start()
+                taken.callback(thread.join)
+        except RuntimeError as error:
+            fix = "end programs of this user, or raise the limit: ulimit -u, or TasksMax= of the service"
+            raise BusError(f"{threads} more threads are needed ({error})", where, fix) from error
+        finally:
+            done.set()
 
 
 @contextlib.contextmanager

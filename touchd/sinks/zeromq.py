@@ -23,6 +23,7 @@ _MOST_PER_POLL = 64  # subscription messages read at once: a flood must not dela
 _MOST_RECEIVED_BYTES = 512  # a subscription or a handshake; libzmq closes a connection that sends a longer message
 _HANDSHAKE_MS = 5000  # a connection that takes longer is ended; a client whose key could not be looked up tries again
 _SEND_BUFFER_BYTES = 65536  # of the kernel, for each connection: by default it grows to megabytes of stale messages
+_FILES, _THREADS = 24, 3  # for some addresses and subscribers, too: a context with its sockets takes 8 files
 _LOOK_S = 0.02  # a wait ends at most this late
 # Plain integers: an operation on zmq's flags makes an object, and takes longer than the call.
 _EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)
@@ -37,7 +38,7 @@ class ZeromqSink:
     again, byte for byte, with the same `seq`.
 
     Raises AddressInUse if another process publishes at one of the addresses, InsecureBind for one beyond loopback
-    without keys, BusError if a key, a group or an address cannot be used.
+    without keys, BusError if a key, a group or an address cannot be used, or files or threads are short.
     """
 
     def __init__(self, settings: BusSettings, clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -47,6 +48,7 @@ class ZeromqSink:
         self._open = True
         self._last: dict[str, Event | bytes] = {}
         self._topic_frames = {topic: topic.encode() for topic in TOPICS}
+        endpoint.refuse_without_resources(" ".join(settings.bind), _FILES, _THREADS)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.XPUB)
         self._authenticator: Authenticator | None = None

@@ -92,8 +92,13 @@ class Recorder:
         self._epoch_ns = 0
         self._writing: Future[Path] | None = None
         self._queued = 0  # frames that it writes
-        prepare(path, self._single)
         self._writer = ThreadPoolExecutor(1, "touchd-recorder")
+        try:
+            self._writer.submit(int)  # the thread starts now: at the end, without one, the frames would be lost
+        except RuntimeError as error:
+            fix = "end programs of this user, or raise its limit: ulimit -u"
+            raise OutputError(f"no thread can write it ({error})", str(path), fix) from error
+        prepare(path, self._single)
 
     def keep(self, frame: Frame) -> None:
         """Record a frame.
@@ -156,6 +161,55 @@ class Recorder:
         if self.saved == 0 and not self._single:
             with suppress(OSError):
                 self.path.rmdir()
+
+
+class GrowingFile:
+    """Writes a recording that grows to one file, whole each time: a power cut leaves the last one.
+
+    The file is `path`, or another beside it, see `write_beside`. `begin` writes in a thread, so that no frame waits.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.problem = ""
+        """Why the thread could not write the last time."""
+        self._path, self._ours = path, False
+        self._writer = ThreadPoolExecutor(1, "touchd-recorder")
+        self._writing: Future[None] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether the thread writes."""
+        return self._writing is not None and not self._writing.done()
+
+    def begin(self, made: Recording) -> None:
+        """Have the thread write the recording, quickly; it must not be busy."""
+        self._writing = self._writer.submit(self._try, made)
+
+    def finish(self, made: Recording) -> Path:
+        """Write the recording, small, and return its path; may be called again where that fails."""
+        self._writer.shutdown()
+        return self._write(made, compress=True)
+
+    def remove(self) -> None:
+        """Remove the file, if it was written."""
+        self._writer.shutdown()
+        if self._ours:
+            self._path.unlink(missing_ok=True)
+
+    def _try(self, made: Recording) -> None:
+        try:
+            self._write(made, compress=False)
+            self.problem = ""
+        except OutputError as error:
+            self.problem = str(error)
+
+    def _write(self, made: Recording, *, compress: bool) -> Path:
+        if self._ours:
+            recording.write(self._path, made, compress=compress)
+        else:
+            self._path = write_beside(self._path, made, compress=compress)
+            self._ours = True
+        return self._path
 
 
 def recording_of(meta: Meta, frames: list[Frame], epoch_ns: int) -> Recording:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import tempfile
 from pathlib import Path
@@ -47,6 +48,7 @@ def _short(value: Any) -> Any:
 
 def main() -> None:
     """Write the results again, on all cores."""
+    argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0]).parse_args()
     with tempfile.TemporaryDirectory(prefix="touchd-golden-") as folder:
         lines = [json.dumps(_short(event), separators=(",", ":")) for event in received(Path(folder))]
     GOLDEN.write_text("\n".join(lines) + "\n")

@@ -8,6 +8,7 @@ sent. The daemons take turns; the median of the turns' ratios comes last.
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import tempfile
@@ -163,6 +164,7 @@ def prepare(kind: str, folder: Path) -> None:
 
 def main() -> None:
     """Measure all in turns."""
+    argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0]).parse_args()
     with tempfile.TemporaryDirectory(prefix="touchd-audio-") as name:
         for kind in CASES:
             prepare(kind, Path(name))
@@ -180,7 +182,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:]:
+    if sys.argv[1:2] and sys.argv[1] in CASES:
         print(run(sys.argv[1], Path(sys.argv[2])))
     else:
         main()

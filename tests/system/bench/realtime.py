@@ -8,6 +8,7 @@ rounds of each one's percentile, and of the ratio to the round without beside it
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
@@ -85,6 +86,7 @@ def delays_us(recording: Path, folder: str, prepare: Callable[[], None]) -> NDAr
 
 def main() -> None:
     """Measure every setting, in some minutes."""
+    argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0]).parse_args()
     print(this_machine().line())
     header = " ".join(f"{f'p{p:g} us':>10} {'ratio':>6}" for p in PERCENTILES)
     print(f"{'':32} {header}")

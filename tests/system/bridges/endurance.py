@@ -7,6 +7,7 @@ processor time at 125 frames a second.
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import random
@@ -166,6 +167,7 @@ def _spent_ns(process: Path) -> int:
 
 def main() -> None:
     """Measure all in full."""
+    argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0]).parse_args()
     frames, times = int(os.environ.get("FRAMES", "1000000")), int(os.environ.get("KILLS", "10000"))
     print(f"{kills(times)} of {times} kills left a finger down", flush=True)
     with tempfile.TemporaryDirectory() as folder:

@@ -7,6 +7,7 @@ import os
 import re
 import socket
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -262,6 +263,8 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         lambda _w: ("web", "--replay", "x" * 5000),
         ("check the path",),
     ),
+    "an empty variable for a model": (errors.ModelMissing, bound("--model", ""), ("Is a directory", "check the path")),
+    "a root folder for a model": (errors.ModelMissing, lambda _w: ("check", "/", "x.npz"), ("/: cannot be read",)),
     "a model of a name too long for any": (errors.ModelMissing, bound("--model", "x" * 5000), ("check the path",)),
     "two sources": (errors.SourceError, bound("--simulate", "tap"), ("--simulate",)),
     "an unknown scene": (errors.SimulationError, lambda _w: ("--simulate", "dance"), ("'dance'", "swipe")),
@@ -425,6 +428,27 @@ def test_full_output(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
         full.flush()
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("touchd: standard output: cannot be written (No space left on device) -> ")
+
+
+def test_no_temporary_files(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """A computer with no folder for temporary files is no fault of touchd: the remedy is named."""
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", lambda: ["/nonexistent"])  # root may write everywhere
+    assert main(["demo"]) == errors.OutputError.exit_code
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("touchd: TMPDIR: no folder for temporary files can be written -> name a folder")
+
+
+def test_full_temporary_files(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """A full disk is named by the file that does not fit: it is not the standard output that is full."""
+
+    def fail(_context: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "/tmp/touchd-x/bus")
+
+    monkeypatch.setattr(cli.touchd, "invoke", fail)
+    assert main([]) == errors.OutputError.exit_code
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("touchd: /tmp/touchd-x/bus: cannot be written (No space left on device) -> ")
 
 
 @pytest.mark.parametrize("stream", ["stdin", "stdout", "stderr"])

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.system.hostile.bus import Daemon, Honest, attack
+from touchd.lab.arguments import within
 
 MOST_LATER_MS = 50.0
 ATTACKS = {
@@ -59,8 +60,8 @@ def main() -> int:
     """Measure all attacks, and return 1 if one makes a touch late."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("attacks", nargs="*", default=list(ATTACKS), help=f"of {', '.join(ATTACKS)}")
-    parser.add_argument("--spells", type=int, default=5, help="of each kind")
-    parser.add_argument("--seconds", type=float, default=5.0, help="of a spell, at least")
+    parser.add_argument("--spells", type=within(int, 1), default=5, help="of each kind")
+    parser.add_argument("--seconds", type=within(float, 0.1), default=5.0, help="of a spell, at least")
     arguments = parser.parse_args()
     print(f"{'attack':14} {'spells':9} {'touches':>7} {'p50':>8} {'p90':>8} {'p99':>8} {'p99.9':>8} {'max':>8} ms")
     later_ms = {name: measure(name, arguments.spells, arguments.seconds) for name in arguments.attacks}

@@ -15,6 +15,7 @@ import numpy as np  # noqa: E402 - after its threads are limited
 
 from tests.system.soak.rig import Result, complaints, run  # noqa: E402 - as above
 from touchd.config.schema import LogSettings  # noqa: E402 - as above
+from touchd.lab.arguments import within  # noqa: E402 - as above
 from touchd.localization.model import Model, default_model_path  # noqa: E402 - as above
 from touchd.service.log import configure  # noqa: E402 - as above
 
@@ -47,8 +48,8 @@ def report(what: str, result: Result) -> list[str]:
 def main() -> int:
     """Run both, and return 1 if anything is wrong."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--frames", type=int, default=1_000_000, help="at full speed")
-    parser.add_argument("--seconds", type=int, default=600, help="at 1000 frames a second")
+    parser.add_argument("--frames", type=within(int, 0), default=1_000_000, help="at full speed")
+    parser.add_argument("--seconds", type=within(int, 0, 1_000_000), default=600, help="at 1000 frames a second")
     arguments = parser.parse_args()
     configure(LogSettings(level="error"))  # each fault is logged; the figures are what is wanted
     model = Model(default_model_path())

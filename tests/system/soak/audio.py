@@ -22,6 +22,7 @@ from touchd.audio.card import CardXrun, Samples  # noqa: E402 - as above
 from touchd.cli.demo import SESSION  # noqa: E402 - as above
 from touchd.config.rigs import AudioSettings  # noqa: E402 - as above
 from touchd.config.schema import DeviceSettings, LogSettings  # noqa: E402 - as above
+from touchd.lab.arguments import within  # noqa: E402 - as above
 from touchd.localization.model import Model, default_model_path  # noqa: E402 - as above
 from touchd.recording.format import read  # noqa: E402 - as above
 from touchd.service.log import configure  # noqa: E402 - as above
@@ -175,7 +176,7 @@ def run(periods: int, xrun_every: int = 5003, unplug_every: int = 20_011) -> Res
 def main() -> int:
     """Run, and print the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--periods", type=int, default=1_000_000)
+    parser.add_argument("--periods", type=within(int, 1), default=1_000_000)
     configure(LogSettings(level="error"))
     result = run(parser.parse_args().periods)
     for name, value in result._asdict().items():

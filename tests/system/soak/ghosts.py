@@ -28,6 +28,7 @@ from tests.system.soak.pieces import play_all, shared_instrument
 from touchd.config.schema import Settings
 from touchd.evaluation.matching import Position
 from touchd.evaluation.replay_scores import found_contacts
+from touchd.lab.arguments import within
 from touchd.lab.study import DRY_FEET
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
@@ -317,9 +318,11 @@ def main() -> int:
     """Play all, and return 1 if there was a ghost that was not withdrawn."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scenes", nargs="*", default=list(SCENES), help=f"of {', '.join(SCENES)}")
-    parser.add_argument("--minutes", type=float, default=60, help="of each scene; three times as many of the mixed day")
-    parser.add_argument("--seed", type=int, default=1, help="of the first piece; the next have the next")
-    parser.add_argument("--jobs", type=int, help="processes; by default one for each core")
+    parser.add_argument(
+        "--minutes", type=within(float, 0, 1e6), default=60, help="of each scene; three times as many of the mixed day"
+    )
+    parser.add_argument("--seed", type=within(int, 0), default=1, help="of the first piece; the next have the next")
+    parser.add_argument("--jobs", type=within(int, 1, 1000), help="processes; by default one for each core")
     parser.add_argument("--network", action="store_true", help="without the field atlas")
     arguments = parser.parse_args()
     if unknown := set(arguments.scenes) - set(SCENES):

@@ -25,6 +25,7 @@ from tests.system.soak.pieces import play_all, shared_instrument
 from touchd.config.schema import Settings
 from touchd.event import Contact, KeyEvent, TouchEvent
 from touchd.keypad import PHONE, load_layout
+from touchd.lab.arguments import within
 from touchd.service.replay import Replayed
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.catalogue import stage_scene
@@ -193,10 +194,10 @@ def job(finger: str, act: str, seed: int) -> Act | tuple[int, int]:
 def main() -> None:
     """Play all acts by all fingers."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=10, help="of each act")
-    parser.add_argument("--presses", type=int, default=1000, help="of keys, by each finger")
-    parser.add_argument("--seed", type=int, default=7100, help="of the first piece; the next have the next")
-    parser.add_argument("--jobs", type=int, help="processes; by default one for each core")
+    parser.add_argument("--minutes", type=within(float, 0, 1e6), default=10, help="of each act")
+    parser.add_argument("--presses", type=within(int, 0), default=1000, help="of keys, by each finger")
+    parser.add_argument("--seed", type=within(int, 0), default=7100, help="of the first piece; the next have the next")
+    parser.add_argument("--jobs", type=within(int, 1, 1000), help="processes; by default one for each core")
     arguments = parser.parse_args()
     columns = ("touches", 8), ("missed", 7), ("ghosts", 7), ("split", 6), ("switches", 9), ("kinds", 6)
     print(f"{'finger':10}{'act':7}" + "".join(f"{name:>{width}}" for name, width in columns) + "  jitter, mm")

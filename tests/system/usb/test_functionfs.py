@@ -298,6 +298,13 @@ def test_no_configfs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ConfigFs("SN7", 0x1209, 0x0001, root=tmp_path / "none/usb_gadget").create()
 
 
+def test_no_mount(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a shell without /sbin in its PATH, as `su` leaves it, the program that is missing is named."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(GadgetError, match=r"^mount: cannot be run \(No such file or directory\) -> "):
+        ConfigFs("SN7", 0x1209, 0x0001, root=tmp_path / "none/usb_gadget").create()
+
+
 def test_first_port(tmp_path: Path) -> None:
     """The first port is used; a computer without one is a GadgetError."""
     with pytest.raises(GadgetError, match="no port that can be a USB device"):

@@ -8,6 +8,7 @@ part; `--docs` writes the table into docs/web.md.
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import statistics
@@ -121,6 +122,9 @@ def table(rows: list[Row]) -> str:
 
 def main() -> int:
     """Measure all; return the status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--docs", action="store_true", help="write the page's block, too")
+    write_page = parser.parse_args().docs
     minutes = float(os.environ.get("MINUTES", "10"))
     with tempfile.TemporaryDirectory() as folder:
         recording, address, other = Path(folder) / "five.npz", f"ipc://{folder}/bus", f"ipc://{folder}/other"
@@ -130,7 +134,7 @@ def main() -> int:
         with started(*frames, "--bind", address), started(*frames, "--bind", other), chromium() as browser:
             rows = [*endure(browser, address, minutes), *turns(browser, address, other)]
     print(table(rows))
-    if "--docs" in sys.argv:
+    if write_page:
         told = f"{minutes:g} minutes:\n\n{table(rows)}\n"
         marked = r"(?s)(<!-- endurance:begin -->\n).*(<!-- endurance:end -->)"
         PAGE.write_text(re.sub(marked, rf"\g<1>{told}\g<2>", PAGE.read_text()))

@@ -5,8 +5,8 @@ Into docs/web/, or for a look at all of them, each in two sizes, light and dark,
 
 from __future__ import annotations
 
+import argparse
 import re
-import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
@@ -84,7 +84,9 @@ def calibrate(opened: Page, told: Wizard, step: str) -> None:
 
 def main() -> None:
     """Write the pictures."""
-    chosen = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path, nargs="?")
+    chosen = parser.parse_args().folder
     folder = chosen or ROOT / "docs/web"
     folder.mkdir(exist_ok=True)
     expect.set_options(timeout=PATIENCE_S * 1000)

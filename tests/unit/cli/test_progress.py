@@ -39,3 +39,17 @@ def test_parts_have_their_own_times() -> None:
                 bars.update(what, done, 20)
         assert left_s(bars, "network") == pytest.approx(1.0, rel=0.1, abs=1.0)
         assert left_s(bars, "field") == pytest.approx(200.0, rel=0.1)
+
+
+def test_lines_for_a_file(capsys: pytest.CaptureFixture[str]) -> None:
+    """In a file or pipe a job of an hour is seen to go on: a line each ten seconds, and one at each part's end."""
+    now_s = 0.0
+    with Bars(clock=lambda: now_s) as bars:
+        for done in range(1, 51):
+            now_s += 1.0
+            bars.update("network", done, 50, "validation 3.20 mm")
+            if done == 41:
+                assert capsys.readouterr().err.splitlines()[-1] == "network: 41 of 50, validation 3.20 mm, 0:00:09 left"
+        bars.update("field", 1, 1)
+        assert capsys.readouterr().err.splitlines()[0] == "network: 50 of 50, validation 3.20 mm"
+    assert capsys.readouterr().err == ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from tests.processes import PATIENCE_S
 from touchd.calibration.walk import Task
 from touchd.cli import record
 from touchd.errors import DeviceLost, OutputError, SourceError
@@ -156,19 +158,67 @@ def test_device_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert said.err.splitlines() == ["device lost: there is none: plug it in", "device streaming"]
 
 
-def full(monkeypatch: pytest.MonkeyPatch, times: int, happens: Callable[[], object]) -> None:
-    """Let a disk be full so many times."""
+def full(monkeypatch: pytest.MonkeyPatch, times: int, happens: Callable[[], object], *, compress: bool = True) -> None:
+    """Let a disk be full so many times, at the end, or meanwhile."""
     left = [times]
 
-    def write_beside(path: Path, found: Recording) -> Path:
-        left[0] -= 1
-        if left[0] >= 0:
-            happens()
-            raise OutputError("cannot be written (No space left on device)", str(path), "make room")
-        write(path, found)
-        return path
+    def write_or_not(path: Path, found: Recording, **options: bool) -> None:
+        if options["compress"] == compress:
+            left[0] -= 1
+            if left[0] >= 0:
+                happens()
+                raise OutputError("cannot be written (No space left on device)", str(path), "make room")
+        write(path, found, **options)
 
-    monkeypatch.setattr(record, "write_beside", write_beside)
+    monkeypatch.setattr("touchd.recording.format.write", write_or_not)
+
+
+class Waiting(Scripted):
+    """Sends no frame of the second tap until something is so."""
+
+    def __init__(self, ready: Callable[[], object]) -> None:
+        super().__init__({})
+        self.ready, self.until_s = ready, time.monotonic() + PATIENCE_S
+
+    def read(self, timeout_s: float) -> Frame | None:
+        if self.number == 640 and not self.ready():
+            assert time.monotonic() < self.until_s
+            return None
+        return super().read(timeout_s)
+
+
+@pytest.mark.usefixtures("types")
+def test_power_cut(tmp_path: Path) -> None:
+    """A touch that is complete is on disk before the next: a power cut loses the one in hand."""
+    path, cut = tmp_path / "a.npz", tmp_path / "cut.npz"
+
+    def there() -> bool:
+        if path.exists() and names(path) == ALL[:2]:
+            cut.write_bytes(path.read_bytes())
+        return cut.exists()
+
+    record.walk_through(Waiting(there), path, META)
+    assert names(cut) == ALL[:2]
+    assert read(cut).contacts_mm is not None
+    assert names(path) == ALL
+
+
+@pytest.mark.usefixtures("types")
+def test_full_disk_meanwhile(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that is full while a person walks is reported once, and the end saves all."""
+    errors = ""
+
+    def reported() -> bool:
+        nonlocal errors
+        errors += capsys.readouterr().err
+        return "No space left" in errors
+
+    full(monkeypatch, 99, lambda: None, compress=False)
+    record.walk_through(Waiting(reported), tmp_path / "a.npz", META)
+    assert names(tmp_path / "a.npz") == ALL
+    assert (errors + capsys.readouterr().err).count("No space left") == 1
 
 
 def test_full_disk(
@@ -197,9 +247,11 @@ def test_full_disk_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         record.walk_through(Scripted({660: lambda: signal.raise_signal(signal.SIGINT)}), tmp_path / "a.npz", META)
 
 
-@pytest.mark.usefixtures("types")
-def test_nothing(tmp_path: Path) -> None:
-    """Without a complete act there is an error, and no file."""
+def test_nothing(types: Typist, tmp_path: Path) -> None:
+    """Without a complete act there is an error, and no file, even if one act was complete before it was repeated."""
+    with pytest.raises(SourceError, match="nothing is saved"):
+        record.walk_through(Scripted({300: types("r\n"), 320: fail(EndOfStream())}), tmp_path / "a.npz", META)
+    assert os.listdir(tmp_path) == []
     with pytest.raises(SourceError, match="nothing is saved"):
         record.walk_through(Scripted({20: fail(EndOfStream())}), tmp_path / "a.npz", META)
     assert os.listdir(tmp_path) == []

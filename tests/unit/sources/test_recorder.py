@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -105,6 +106,19 @@ def test_a_disk_that_fills_up_is_reported_while_recording(tmp_path: Path, monkey
     on_disk = read(tmp_path / "folder").sequence.tolist()
     assert on_disk[:2] == [0, 1]
     assert recorder.saved == len(on_disk) < recorder.frames
+
+
+@pytest.mark.parametrize("name", ["a.npz", "folder"])
+def test_no_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """A user who may start no thread hears it before the first frame: at the end all frames would be lost."""
+
+    def start(_thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    with pytest.raises(OutputError, match=r"no thread can write it .* -> .*ulimit -u"):
+        Recorder(tmp_path / name, META)
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_failure_to_save_the_rest_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

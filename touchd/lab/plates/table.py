@@ -20,6 +20,7 @@ from touchd.calibration.soft_face import for_fingers
 from touchd.calibration.taps import Taps, refine, taps_of
 from touchd.errors import TouchdError
 from touchd.evaluation.single_frames import TouchedFrames, find_with, see, touched_frames
+from touchd.lab.arguments import within
 from touchd.lab.plates.cases import CASES, Made, make
 from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model
@@ -139,13 +140,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     every = [name for name, case in CASES.items() if not case.solid]
     parser.add_argument("plates", nargs="*", default=every, help=", ".join(CASES))
-    parser.add_argument("--touches", type=int, default=300)
-    parser.add_argument("--seed", type=int, nargs="+", default=[0], help="what the ruler errs by, and the touches")
-    parser.add_argument("--fingers", nargs="+", default=FINGERS)
-    parser.add_argument("--labels-mm", type=float, nargs="+", default=[], help="also after taps with these errors")
-    parser.add_argument("--tap-sets", type=int, default=1, help="sets of taps of each error")
+    parser.add_argument("--touches", type=within(int, 1), default=300)
+    parser.add_argument(
+        "--seed", type=within(int, 0), nargs="+", default=[0], help="what the ruler errs by, and the touches"
+    )
+    parser.add_argument("--fingers", nargs="+", default=FINGERS, choices=FINGERS)
+    parser.add_argument(
+        "--labels-mm", type=within(float, 0, 1000), nargs="+", default=[], help="also after taps with these errors"
+    )
+    parser.add_argument("--tap-sets", type=within(int, 1), default=1, help="sets of taps of each error")
     parser.add_argument("--solids", type=Path, default=Path(), help="folder of solid plates")
     asked = parser.parse_args()
+    if unknown := set(asked.plates) - set(CASES):
+        parser.error(f"there is no plate {unknown.pop()!r}; choose from {', '.join(CASES)}")
     for name in asked.plates:
         for seed in asked.seed:
             found = row(name, asked.touches, seed, asked.fingers, asked.labels_mm, asked.tap_sets, asked.solids)
