@@ -45,7 +45,7 @@ def drive_changes(acquisition: Acquisition, mean: Signal, residuals: Signal) -> 
     flat = residuals.reshape(len(residuals), -1)
     samples = mean.shape[1]
     spectrum = np.fft.rfft(mean.astype(np.float64), axis=1)
-    frequency_hz = np.fft.rfftfreq(samples, 1 / acquisition.sample_rate_hz)
+    frequency_hz = np.arange(spectrum.shape[1]) * acquisition.sample_rate_hz / samples
     by = np.stack([2j * np.pi * frequency_hz, np.ones(spectrum.shape[1]), along_band(acquisition, frequency_hz)])
     rows = np.fft.irfft(by[:, None] * spectrum, samples).reshape(len(by), -1)
     if not (np.linalg.norm(rows, axis=1) > 0).all() or len(flat) < _FEWEST_FRAMES:

@@ -167,7 +167,7 @@ class Digitiser:
 
 
 def rippled(
-    signal: Floats, time_s: Floats, starts_s: Floats, acquisition: Acquisition, ripple: Ripple,
+    signal: Floats, time_s: Floats, starts_s: NDArray[np.floating], acquisition: Acquisition, ripple: Ripple,
     seed: int | Sequence[int],
 ) -> Floats:  # fmt: skip
     """Return what the plate answers, (n, R, S), to a drive that ripples: each frequency by the level as it is emitted.
