@@ -6,6 +6,8 @@ the next, by a share that may slope along the chirp: the supply's ripple goes on
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,11 +52,18 @@ def drive_changes(acquisition: Acquisition, mean: Signal, residuals: Signal) -> 
     rows = np.fft.irfft(by[:, None] * spectrum, samples).reshape(len(by), -1)
     if not (np.linalg.norm(rows, axis=1) > 0).all() or len(flat) < _FEWEST_FRAMES:
         return None
-    along = flat @ np.linalg.qr(rows.T)[0]
-    power = np.square(np.diff(along, axis=0)).mean(axis=0)
-    noise = np.square(np.diff(flat, axis=0)).sum(axis=1).mean() - power.sum()
-    found = power > CHANGES * noise / flat.shape[1]
-    if not found.any() or not noise > 0:
+    directions = np.linalg.qr(rows.T)[0]
+    along, steps = flat @ directions, np.diff(flat, axis=0)
+    steps_along = steps @ directions
+    rest = steps - steps_along @ directions.T
+    found = np.square(steps_along).sum(axis=0) > CHANGES * np.square(rest).sum() / flat.shape[1]
+    if not found.any() or not rest.any():
+        return None
+    # Another pane's chirp is like this plate's signal, too, but holds more that is not; more than noise in any one
+    # direction (Marchenko and Pastur, Math. USSR-Sbornik 1:457, 1967; steps of white noise have up to twice as much).
+    most = 2 * np.square(rest).mean() * (math.sqrt(len(rest)) + math.sqrt(rest.shape[1])) ** 2
+    found[1:] &= np.square(steps_along[:, 1:]).sum(axis=0) > np.linalg.norm(rest, 2) ** 2 - most
+    if not found.any():
         return None
     common = np.linalg.lstsq(along[:, found], flat, rcond=None)[0]
     return np.asarray(np.linalg.qr(common.T)[0].T, mean.dtype)

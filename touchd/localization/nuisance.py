@@ -55,7 +55,7 @@ class Nuisance:
         self._returned: Array = np.zeros(0, dtype)
         self._followed = np.zeros(3, dtype)  # the fingers' own part along the drive's changes in the last frame
         self._settled = np.zeros(3, dtype)  # what was left along them then
-        self._energy = np.zeros((), dtype)
+        self._energy, self._along = np.zeros((), dtype), np.zeros(3, dtype)
         self.reset()
 
     @property
@@ -72,36 +72,45 @@ class Nuisance:
 
     def reset(self) -> None:
         """Forget how much the drive changes."""
-        self._power, self._last, self._white, self._frames = np.zeros(3), np.zeros(3), 0.0, 0
-        self.active, self._changes = np.zeros(3, bool), False
+        self._power, self._last, self._white, self._frames = [0.0] * 3, [0.0] * 3, 0.0, 0
+        self._set_active([False] * 3)
+
+    def restart(self) -> None:
+        """Estimate how the drive changes from the next frames on, as the noise is another."""
+        self._frames = min(self._frames, 1)
 
     def forget_fingers(self) -> None:
         """Expect no finger in the next frame."""
         if self._changes:
             self._followed[:] = 0.0
 
-    def learn(self, vector: Array) -> Array:
-        """Update how the drive changes by the bins of an untouched frame; return their parts along that, (3,)."""
-        along = self._drive @ vector
+    def learn(self, vector: Array) -> None:
+        """Update how the drive changes by the bins of an untouched frame."""
+        np.dot(self._drive, vector, out=self._along)
+        along = self._along.tolist()
         vector.dot(vector, self._energy)
         self._frames = min(self._frames + 1, MEMORY_FRAMES)
-        white = (self._energy.item() - float(along @ along)) / len(vector)
-        # Against the last frame: a plate that warms moves this way too, but slowly.
-        step, self._last = along - self._last, along
+        white = (self._energy.item() - sum(each * each for each in along)) / len(vector)
         if self._frames > 1:
-            self._power += (step * step / 2 - self._power) / (self._frames - 1)
+            for k, (each, last) in enumerate(zip(along, self._last, strict=True)):
+                # Against the last frame: a plate that warms moves this way too, but slowly.
+                self._power[k] += ((each - last) ** 2 / 2 - self._power[k]) / (self._frames - 1)
+        self._last = along
         self._white += (white - self._white) / self._frames
-        active = self._power > ACTIVE * self._white if self._white > 0 else np.zeros(3, bool)
-        if not np.array_equal(active, self.active):
-            self.active, self._changes = active, bool(active.any())
-            self._followed[:] = 0.0
-        return along
+        found = [power > ACTIVE * self._white > 0 for power in self._power]
+        if found != self._found:
+            self._set_active(found)
 
     def hear(self, vector: Array) -> None:
         """Update the drive's changes by the bins of an untouched frame; if there are any, take them out of them."""
-        along = self.learn(vector)
+        self.learn(vector)
         if self._changes:
-            vector -= (along * self.active).astype(vector.dtype) @ self._drive
+            vector -= (self._along * self.active) @ self._drive
+
+    def _set_active(self, found: list[bool]) -> None:
+        self._found, self._changes = found, any(found)
+        self.active = np.array(found)
+        self._followed[:] = 0.0
 
     def remove(self, vector: Array, runs: list[Array], mask: Array | None) -> None:
         """Take the drive's changes and hit samples out of the bins of a frame, in place.
@@ -115,7 +124,8 @@ class Nuisance:
         """
         drive = self._drive[self.active]
         self._directions = drive
-        self._keep = (1 - self._white / np.maximum(self._power[self.active], 1e-30)).astype(vector.dtype)
+        power = np.array(self._power)[self.active]
+        self._keep = (1 - self._white / np.maximum(power, 1e-30)).astype(vector.dtype)
         if runs:
             table = np.concatenate(runs) if mask is None else np.concatenate(runs) * mask
             table = table - (table @ drive.T) @ drive
@@ -128,15 +138,15 @@ class Nuisance:
         self._returned = np.zeros_like(self._keep)
         if len(drive):
             followed = self._followed[self.active]
-            self._returned[: len(drive)] = followed if followed.any() else self._expected(vector, drive)
+            self._returned[: len(drive)] = followed if followed.any() else self._expected(vector, drive, power)
         vector -= (self._keep * (self._directions @ vector) - self._returned) @ self._directions
 
-    def _expected(self, vector: Array, drive: Array) -> Array:
+    def _expected(self, vector: Array, drive: Array, power: NDArray[np.float64]) -> Array:
         """Return the part along the drive's changes that is the fingers' if nothing is known of them."""
         along = drive @ vector
         # What lies along them may be the drive's alone, and says nothing of fingers.
         own = FINGERS_SHARE * max(float(vector @ vector) - float(along @ along), 0.0)
-        return np.asarray(self._keep[: len(drive)] * along * (own / (own + self._power[self.active])), vector.dtype)
+        return np.asarray(self._keep[: len(drive)] * along * (own / (own + power)), vector.dtype)
 
     def settle(self, bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> tuple[Bins, Fit]:
         """Return bins in which the fingers are whole, and their fit.
@@ -153,11 +163,12 @@ class Nuisance:
         if not len(self._directions) or not fit.positions_mm:
             return bins, fit
         before: NDArray[np.floating] | None = None
+        enough = ENOUGH**2 * min(self._white, noise_energy / len(bins.vector))
         for _ in range(ROUNDS):
             explained = self._directions @ (bins.vector - solver.residual(bins, fit))
             step = self._keep * explained - self._returned
             size = float(step @ step)
-            if size <= ENOUGH**2 * self._white:
+            if size <= enough:
                 break
             ratio = 0.0 if before is None else float(step @ before) / float(before @ before)
             before = step
