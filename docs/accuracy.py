@@ -34,12 +34,13 @@ from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.plots.maps import draw_maps
 from touchd.evaluation.plots.session import draw_session
 from touchd.evaluation.single_frames import find_with, see, touched_frames
-from touchd.localization.atlas import Atlas
+from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import band_bins
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import read, write
 from touchd.service.replay import replay
+from touchd.training.data.inspection import degrees_of_freedom
 from touchd.training.data.temperature import at_one_temperature
 from touchd.training.field.bins import informative
 from touchd.training.field.dispersion import dispersion_of
@@ -161,6 +162,12 @@ def session(bench: Bench) -> None:
     draw_session(read(path), outcome.touches, PAGE.with_suffix("") / "session.png")
 
 
+def freedom_of(d: AtlasDescription) -> float:
+    """Return the field's degrees of freedom in an atlas' rectangle, which was touched."""
+    wavenumber_per_mm = 1e-3 * float(mindlin_wavenumber(d.plate, d.acquisition.chirp.stop_hz))
+    return degrees_of_freedom(np.array([d.low_mm, d.high_mm]), wavenumber_per_mm)
+
+
 def learning(bench: Bench) -> None:
     """Measure the error by the number of training touches; `touchd train` learned the shipped atlas from the most."""
     recording = simulate_touches(6404, seed=1, even=True, instrument=bench.instrument)
@@ -177,9 +184,7 @@ def learning(bench: Bench) -> None:
         atlases[count] = make_atlas(steady, reference, some, learned, kept, {})[0]
     atlases[bench.atlas.description.touches] = bench.atlas
     scores = [position_scores(bench.judge(test, atlas).error_mm) for atlas in atlases.values()]
-    d = bench.atlas.description
-    width_mm, height_mm = np.subtract(d.high_mm, d.low_mm)
-    freedom = width_mm * height_mm * float(mindlin_wavenumber(d.plate, d.acquisition.chirp.stop_hz)) ** 2 * 1e-6 / np.pi
+    freedom = freedom_of(bench.atlas.description)
     rows = [
         (n, f"{s['rmse_mm']:.3f}", f"{s['median_mm']:.3f}", f"{s['p95_mm']:.3f}")
         for n, s in zip(atlases, scores, strict=True)

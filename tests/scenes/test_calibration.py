@@ -72,11 +72,11 @@ def other(
 def heard(
     *patches: Patch, gains: NDArray[np.float64] = GAINS, mounting: Mounting = FREE,
     feedthrough: tuple[tuple[float, float], ...] = (), name: str = "usb",
-    plate: ElasticPlate = TRUE,
+    plate: ElasticPlate = TRUE, resting: tuple[Contact, ...] = (),
 ) -> Untouched:  # fmt: skip
-    """Its untouched mean frame."""
+    """Its untouched mean frame, or that with something that rests on it throughout."""
     instrument = other(*patches, mounting=mounting, feedthrough=feedthrough, name=name, plate=plate)
-    signal = SCALE * gains[:, None] * instrument.untouched([22.0])[0]
+    signal = SCALE * gains[:, None] * (instrument.untouched([22.0])[0] + instrument.change([resting], [22.0])[0])
     error = NOISE / np.sqrt(FRAMES)
     noisy = signal + error * np.random.default_rng(0).standard_normal(signal.shape)
     return Untouched(noisy, np.full(4, error), FRAMES, instrument.acquisition)
@@ -239,9 +239,26 @@ def test_no_channel_hears_anything() -> None:
         fit_plate(said(), heard(gains=0 * GAINS))
 
 
-def test_swapped_cables(fit: PlateFit) -> None:
+@pytest.fixture(scope="module")
+def swapped() -> tuple[PlateFit, list[tuple[str, float]]]:
+    """The fit of two cables swapped, and its progress."""
+    told: list[tuple[str, float]] = []
+    return fit_plate(said((0, 2, 1, 3, 4)), heard(), lambda *at: told.append(at)), told
+
+
+def test_progress(swapped: tuple[PlateFit, list[tuple[str, float]]]) -> None:
+    """Progress goes on and never back, from the plate that is said to the others that are tried, to the end."""
+    _, told = swapped
+    for stage in ("fit", "candidates"):
+        shares = [share for each, share in told if each == stage]
+        assert shares == sorted(shares)
+        assert shares[-1] == 1.0
+    assert [stage for stage, _ in told] == sorted((stage for stage, _ in told), reverse=True)
+
+
+def test_swapped_cables(fit: PlateFit, swapped: tuple[PlateFit, list[tuple[str, float]]]) -> None:
     """Two cables swapped are found and named, and the fit is that of the right order."""
-    other = fit_plate(said((0, 2, 1, 3, 4)), heard())
+    other, _ = swapped
     assert other.verdict == "usable"
     assert any("receiver 1 at the place of receiver 2" in reason for reason in other.reasons)
     np.testing.assert_allclose(other.layout.centres_mm, fit.layout.centres_mm, atol=0.02)
@@ -408,6 +425,15 @@ def test_a_button() -> None:
     assert fit.verdict == "usable"
     assert math.dist((found["scatterer 1 x"], found["scatterer 1 y"]), (60, 45)) < 1
     assert found["scatterer 1 mass"] == pytest.approx(1.84, rel=0.3)
+
+
+@pytest.mark.parametrize(("x_mm", "y_mm", "area_mm2"), [(55.0, 40.0, 60.0), (30.0, 22.0, 100.0)])
+def test_a_finger_that_rests(x_mm: float, y_mm: float, area_mm2: float) -> None:
+    """A fingertip that rests on the plate through the whole recording keeps a fit from being good, and is placed."""
+    resting = fit_plate(said(), heard(resting=(Contact(x_mm, y_mm, area_mm2, "fingertip"),)))
+    assert resting.verdict != "good"
+    (place,) = filter(None, (re.search(r"at \((\d+), (\d+)\) mm damps waves", each) for each in resting.reasons))
+    assert math.dist(map(float, place.groups()), (x_mm, y_mm)) < 2.0
 
 
 def within_sigma(model: Model, plate: Instrument) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
+from docs.accuracy import MODEL, PAGE, freedom_of
 from docs.accuracy_plots import (
     FieldImage,
     NoiseLevel,
@@ -15,6 +16,7 @@ from docs.accuracy_plots import (
 )
 from tests.unit.evaluation.test_replay_scores import META
 from touchd.evaluation.model_scores import Judgement
+from touchd.localization.model import Model
 
 
 def line(axes: Axes, label: str) -> np.ndarray:
@@ -64,3 +66,10 @@ def test_the_error_is_drawn_by_the_number_of_touches() -> None:
     figure = draw_learning([1000, 2000], scores, 1350.0)
     np.testing.assert_allclose(line(figure.axes[0], "median"), [1e-3, 5e-4])
     figure.draw_without_rendering()
+
+
+def test_the_page_has_the_degrees_of_freedom_of_the_picture() -> None:
+    """The page's degrees of freedom are those that `python -m docs.accuracy learning` draws."""
+    atlas = Model(MODEL).atlas
+    assert atlas is not None
+    assert f"{freedom_of(atlas.description):.0f} where the reference plate was touched" in PAGE.read_text()

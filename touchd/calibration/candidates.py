@@ -10,7 +10,6 @@ Soft edges and rolled sheet, which these hardly know, are tried on the whole fra
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +18,11 @@ from numpy.typing import NDArray
 from touchd.calibration.loads import SIDES
 from touchd.calibration.parameters import Reader, held_sides, is_plastic, wavelength_mm
 from touchd.calibration.plate_file import Edges, Place, PlateFile
-from touchd.calibration.reduced_plate import Floats, ReducedPlate
+from touchd.calibration.reduced_plate import Floats, ReducedPlate, shape_of
 from touchd.calibration.stages import WHOLE, State, descend, window_of
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel
+from touchd.calibration.wirings import disc_names, orders
 from touchd.twin.physics.material import MATERIALS
 
 THICKNESSES_MM = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
@@ -44,11 +44,9 @@ PLACE_SHARES = (FIRST_SHARE, 1.5 * FIRST_SHARE, 2 * FIRST_SHARE)
 SPEEDS = np.linspace(-0.03, 0.03, 7)
 FINER_SPEEDS = np.linspace(-0.01, 0.01, 9)
 """Beside the best of them, for more of the frame."""
-MOST_PERMUTED = 5
-"""Discs up to which any order is tried; of more, any two may be swapped."""
 ALIKE_SPEED, ALIKE_POISSON = 0.02, 0.06
 """Relative difference of wave speed, and difference of Poisson's ratio, within which a fit is a material's."""
-MOST = 2
+MOST_A_ROUND = 2
 """As many candidates are fitted whole."""
 SOFT_STEPS, SOFT_BETTER = 4, 0.9
 """Tape on soft edges leaves less than this share after so many steps, 0.42 to 0.83 where there is some (twin): other
@@ -92,17 +90,17 @@ def _better(said: PlateFile, untouched: Untouched) -> list[Candidate]:
     live = np.flatnonzero(~untouched.dead)
     model, window = _early(said, untouched)
     as_said = _misfits(model, window)
-    order = _orders(as_said.shape[1])[0]
+    order = orders(as_said.shape[1])[0]
     usual = _left(as_said, order, live)
     speed = float(SPEEDS[np.argmin([_left(each[None], order, live) for each in as_said])])
     p = _at_speed(model.reader, speed)
     tried = [_try(said, (), as_said, live)]
     for plate, what in [*_other_plates(said), *_other_sides(said, model, window, p, live)]:
-        tried.append(_try(plate, (what,), _misfits(*_early(plate, untouched)), live))
+        tried.append(_try(plate, (what,), _misfits(*_early(plate, untouched, model.plate)), live))
     for plate, what in _moved_discs(said, model, p, live):
-        left = _left(_misfits(*_early(plate, untouched)), order, live)
+        left = _left(_misfits(*_early(plate, untouched, model.plate)), order, live)
         tried.append(Candidate(plate, (what,), OTHERWISE * left))
-    return sorted((c for c in tried if c.what and c.left < BETTER * usual), key=lambda c: c.left)[:MOST]
+    return sorted((c for c in tried if c.what and c.left < BETTER * usual), key=lambda c: c.left)[:MOST_A_ROUND]
 
 
 def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPlate) -> list[Candidate]:
@@ -214,7 +212,7 @@ def _moved_discs(
     if np.hypot(*(place_mm - before_mm)) > LEAST_MOVED_MM:
         discs_mm[disc] = (float(place_mm[0]), float(place_mm[1]))
         fitted = f"{{layout.centres_mm[{disc}][0]:.0f}}, {{layout.centres_mm[{disc}][1]:.0f}}"
-        name = _names(len(discs_mm))[disc]
+        name = disc_names(len(discs_mm))[disc]
         what = f"{name} fits at ({fitted}) mm, not at ({x_mm:g}, {y_mm:g}) mm: measure its place again"
         yield _placed(said, discs_mm), what
 
@@ -228,14 +226,20 @@ def grid(width_mm: float, height_mm: float, margin_mm: float, step_mm: float) ->
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
-def _early(said: PlateFile, untouched: Untouched) -> tuple[UntouchedModel, Floats]:
-    """Return the plate's model at low frequencies, and the window of the first arrivals."""
+def _early(said: PlateFile, untouched: Untouched, usual: ReducedPlate | None = None) -> tuple[UntouchedModel, Floats]:
+    """Return the plate's model at low frequencies, and the window of the first arrivals.
+
+    `usual` is the basis of a plate that may be the same but for its edges and discs.
+    """
     reader = Reader(said, untouched.acquisition)
     chirp = untouched.acquisition.chirp
     low, high = chirp.band_hz
     share, highest = (FIRST_SHARE, HIGHEST) if chirp.period_s is None else (WHOLE, 1.0)
-    plate = ReducedPlate(reader.plate(reader.start), low + highest * (high - low))
-    model = UntouchedModel(plate, reader, untouched)
+    plate = reader.plate(reader.start)
+    basis = usual
+    if basis is None or basis.reference != shape_of(plate):
+        basis = ReducedPlate(plate, low + highest * (high - low))
+    model = UntouchedModel(basis, reader, untouched)
     return model, window_of(model, share)
 
 
@@ -265,36 +269,19 @@ def _typical(shares: Floats) -> Floats:
 
 def _try(said: PlateFile, what: tuple[str, ...], misfits: Floats, live: NDArray[np.intp]) -> Candidate:
     """Return the best wiring of a plate; a dead channel keeps its place."""
-    as_said, *others = _orders(misfits.shape[1])
+    as_said, *others = orders(misfits.shape[1])
     left = {as_said: _left(misfits, as_said, live)}
     left |= {order: OTHERWISE * _left(misfits, order, live) for order in others}
     best_order = min(left, key=left.__getitem__)
     if best_order == as_said:
         return Candidate(said, what, left[as_said])
     places = [said.discs.emitter_mm, *said.discs.receivers_mm]
-    names = _names(len(places))
+    names = disc_names(len(places))
     wrong = ", ".join(f"{names[i]} at the place of {names[k]}" for i, k in enumerate(best_order) if i != k)
     wiring = f"swapped cables fit: {wrong}; swap them, or correct the drawing"
     return Candidate(_placed(said, [places[k] for k in best_order]), (*what, wiring), left[best_order])
 
 
-def _names(count: int) -> list[str]:
-    return ["the emitter", *(f"receiver {c}" for c in range(1, count))]
-
-
 def _placed(said: PlateFile, discs_mm: Sequence[Place]) -> PlateFile:
     discs = said.discs.model_copy(update={"emitter_mm": discs_mm[0], "receivers_mm": tuple(discs_mm[1:])})
     return said.model_copy(update={"discs": discs})
-
-
-def _orders(count: int) -> list[tuple[int, ...]]:
-    """Return the wirings tried, which place each of emitter and channels has; the one said comes first."""
-    if count <= MOST_PERMUTED:
-        return list(permutations(range(count)))
-    found = [tuple(range(count))]
-    for i in range(count):
-        for j in range(i):
-            swapped = list(range(count))
-            swapped[i], swapped[j] = j, i
-            found.append(tuple(swapped))
-    return found

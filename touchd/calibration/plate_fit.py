@@ -7,11 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from touchd.calibration.candidates import Candidate, candidates, material_like, of_material, rolled, soft_edges
+from touchd.calibration.candidates import (
+    MOST_A_ROUND,
+    ROUNDS,
+    Candidate,
+    candidates,
+    material_like,
+    of_material,
+    rolled,
+    soft_edges,
+)
 from touchd.calibration.loads import Edges, Loss, attachments
 from touchd.calibration.parameters import LOGARITHMS, Reader, wavelength_mm
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
+from touchd.calibration.resting import WHAT, resting
 from touchd.calibration.scatterers import scatterers
 from touchd.calibration.stages import GOOD_LEFT, State, run_stages
 from touchd.calibration.untouched import Untouched
@@ -33,8 +43,10 @@ HALF = 0.5
 """Another plate than the one said must leave less than this share of what the said one leaves."""
 ENOUGH_LEFT = 0.03
 """Another plate that leaves more may have one wrong fact of two: a disc 12 mm off leaves 12 % (twin)."""
+MOST = ROUNDS * MOST_A_ROUND + 3
+"""As many candidates are fitted whole: those of all rounds, a sheet, a scatterer, and another material."""
 Progress = Callable[[str, float], object]
-"""Receives the stage's name and the share of the whole work that is done, 0 .. 1."""
+"""Receives the stage's name and the share of its work that is done, 0 .. 1: of candidates, of all that may come."""
 
 
 @dataclass(frozen=True)
@@ -93,22 +105,28 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
     reader = Reader(said, recording_mean.acquisition)
     asked = dict(zip((one.label for one in reader.unknowns), reader.shown(reader.start).tolist(), strict=True))
 
+    tried = 0
+
     def other(candidate: Candidate) -> PlateFit:
-        fit, _ = _fit(candidate, recording_mean, lambda share: progress("candidates", share), asked)
+        nonlocal tried
+        before, tried = tried, tried + 1
+        fit, _ = _fit(candidate, recording_mean, lambda share: progress("candidates", (before + share) / MOST), asked)
         return fit
 
     fit, state = _fit(Candidate(said, (), 1.0), recording_mean, lambda share: progress("fit", share), asked)
+    progress("fit", 1.0)
     best, taken = fit, Candidate(said, (), 1.0)
     for candidate in _others(said, recording_mean, fit, state):
-        tried = other(candidate)
-        if tried.unexplained < min(HALF * best.unexplained, USABLE_LEFT):
-            best, taken = tried, candidate
+        found = other(candidate)
+        if found.unexplained < min(HALF * best.unexplained, USABLE_LEFT):
+            best, taken = found, candidate
         if taken.what and best.left < ENOUGH_LEFT:
             break
     if name := _other_material(best):  # whose constants are closer than those of the one said
         plate, told = of_material(taken.said, name)
         best = other(Candidate(plate, (*taken.what, told), 1.0))
-    progress("fit", 1.0)
+    if tried:
+        progress("candidates", 1.0)
     return best
 
 
@@ -143,7 +161,9 @@ def _fit(
     fitted = model.signals(p, state.fitted)
     parameters = tuple(each._replace(said=asked.get(each.name, each.said)) for each in _parameters(reader, state))
     plate, guess, layout = reader.plate(p), reader.read(p), reader.layout(p)
-    found = tuple(what.format(layout=layout, plate=plate) for what in candidate.what)
+    found = [what.format(layout=layout, plate=plate) for what in candidate.what]
+    if place_mm := resting(model, state):
+        found.append(WHAT.format(*place_mm))
     heard = measured - model.beside(state.fitted)
     energy = np.where(untouched.dead, np.nan, (heard**2).sum(axis=1))
     left = ((measured - fitted) ** 2).sum(axis=1) / energy

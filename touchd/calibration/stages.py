@@ -133,7 +133,7 @@ def run_stages(
     # Soft edges and scatterers hardly change the first arrivals; a clamped edge does.
     plate, clamped = _plate_near(reader, reader.start, untouched), "clamped" in reader.held.values()
     first = UntouchedModel(plate, reader, untouched, edges=clamped, scatterers=False)
-    progress(0.2)
+    progress(0.1)
     places, edges = reader.places, (*reader.edges, *reader.scatterers)
 
     def fit_first(start: Floats) -> State:
@@ -141,17 +141,17 @@ def run_stages(
         return descend(first, state.p, ("speed", "loss", *reader.rolled, *places), EARLY, 3)
 
     best = min(map(fit_first, _starts(first)), key=lambda state: state.left)
-    progress(0.4)
+    progress(0.3)
     model = UntouchedModel(plate, reader, untouched)
     state = descend(model, best.p, (*FIRST, *reader.rolled, *edges, *places), MIDDLE, 3)
     state = descend(model, state.p, (*FIRST, *reader.rolled, *edges, *places), WHOLE, 3)
-    progress(0.55)
+    progress(0.4)
     state = descend(model, state.p, (*PLATE, *reader.rolled, *edges, *places), WHOLE, 4)
-    progress(0.7)
+    progress(0.5)
     here, there = model.plate.reference, reader.read(state.p).shape
     if abs(np.log(there.h / here.h)) >= MOVED_THICKNESS or abs(there.nu - here.nu) >= MOVED_POISSON:
         model = UntouchedModel(_plate_near(reader, state.p, untouched), reader, untouched)
-    progress(0.8)
+    progress(0.55)
     state = descend(model, state.p, (*PLATE, *DISCS, *reader.rolled, *edges, *places), WHOLE, 8)
     energy = np.square(model.measured - model.beside(state.fitted)).sum()
     if state.left > HOPELESS * energy:
@@ -159,6 +159,7 @@ def run_stages(
     if state.left > GOOD_LEFT * energy:
         again = descend(model, _with_plane(model, state), state.names, WHOLE, 8)
         state = min(state, again, key=lambda one: one.left)
+    progress(0.75)
     return descend(model, _with_beads(model, state), (*state.names, *reader.joints), WHOLE, 8), model
 
 

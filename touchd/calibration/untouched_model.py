@@ -5,6 +5,7 @@ Each channel's gain is eliminated, and with it what the channel hears beside the
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -139,25 +140,34 @@ class UntouchedModel:
 
         The mass may be negative, as a hole's is. With `from_m` (2,) it is positive, and moves to the place from there.
         """
-        response, residual = self._response(p), fitted.residual
-        shape = self.reader.read(p).shape
-        size_m = np.array([shape.width, shape.height])
-        places_m = np.clip(places_m, 0.0, size_m)
-        before = response.at(np.clip(from_m[None], 0.0, size_m)) if from_m is not None else np.zeros(1 + len(residual))
-        basis = [np.linalg.qr(B.T)[0] for B in self._heard_basis(response.untouched())]
-        heard = self.nu_rad_s**2 * (fitted.gains @ self._emission)  # (R, F)
+        residual, mass = fitted.residual, self.nu_rad_s[None] ** 2
+        before: Floats = np.zeros(residual.shape)
+        if from_m is not None:
+            before = next(self.changes(p, fitted, from_m[None], mass))[0, 0]
         shares = []
-        for part in np.array_split(places_m, np.ceil(len(places_m) / _AT_ONCE)):
-            emitter, *receivers = response.at(part)  # each (n, F)
-            met, energy = np.zeros((2, len(part)))
-            for k, (receiver, spectrum, Q, left) in enumerate(zip(receivers, heard, basis, residual, strict=True), 1):
-                waves = self._to_time((emitter * receiver - before[0] * before[k]) * spectrum)
-                waves -= (waves @ Q) @ Q.T  # what a gain and the background would do
-                met += waves @ left
-                energy += np.square(waves).sum(axis=1)
+        for changes in self.changes(p, fitted, places_m, mass):
+            waves = (changes[:, 0] - before).reshape(len(changes), -1)
+            met, energy = waves @ residual.ravel(), np.square(waves).sum(axis=1)
             met = met if from_m is None else np.maximum(met, 0.0)
             shares.append(met**2 / np.maximum(energy, np.finfo(float).tiny))
         return np.asarray(np.concatenate(shares) / np.square(residual).sum())
+
+    def changes(self, p: Floats, fitted: Fitted, places_m: Floats, loads: Complex) -> Iterator[Floats]:
+        """Yield what small loads (K, F) at each place (n, 2) change, some places at once, shape (m, K, R, S).
+
+        What a gain and the background would do is taken out.
+        """
+        response, shape = self._response(p), self.reader.read(p).shape
+        places_m = np.clip(places_m, 0.0, np.array([shape.width, shape.height]))
+        basis = [np.linalg.qr(B.T)[0] for B in self._heard_basis(response.untouched())]
+        heard = fitted.gains @ self._emission  # (R, F)
+        for part in np.array_split(places_m, np.ceil(len(places_m) / _AT_ONCE)):
+            emitter, *receivers = response.at(part)  # each (n, F)
+            found = np.empty((len(part), len(loads), *fitted.residual.shape))
+            for c, (receiver, spectrum, Q) in enumerate(zip(receivers, heard, basis, strict=True)):
+                waves = self._to_time((emitter * receiver)[:, None] * (spectrum * loads))
+                found[:, :, c] = waves - (waves @ Q) @ Q.T
+            yield found
 
     def _response(self, p: Floats) -> DiscResponse:
         guess = self.reader.read(p)

@@ -32,6 +32,8 @@ CONSTANTS = ("wave speed", "Poisson's ratio")
 """Names of parameters that the material tells: nobody measures them."""
 NOT_SAID = ("loss", "slope", "disc", "edge", "scatterer", "in-plane")
 """Names of parameters that nobody measures begin so: no reason to doubt a fit."""
+SIDE_FITS = ("a width of", "a height of")
+"""What was found of a side begins so."""
 ODD_CHANNEL = 10.0
 """A channel that leaves this many times the share of the median channel is odd."""
 BONDED = (
@@ -112,6 +114,8 @@ def judge(
     if bonded:
         reasons.append(BONDED)
     sides = left <= GOOD_LEFT and contradiction > AT_PRIOR  # where physics lack, they may be what has moved the sides
+    if sides:  # either may be wrong
+        reasons = [each for each in reasons if not each.startswith(SIDE_FITS)]
     pulled = [
         p for p in parameters
         if p.at_prior and not p.name.startswith(NOT_SAID) and not (bonded and p.name == "wave speed")
@@ -163,6 +167,6 @@ def _contradiction(parameters: Sequence[Parameter]) -> str:
 def _unexplained(left: float) -> str:
     return (
         f"the plate's physics leave {left:.1%} of the response: check that nothing touches it, that it is one "
-        "rectangular pane without holes, its width and height, the places of the discs, what holds its edges, and the "
-        "order of the channels"
+        "rectangular pane with sharp corners and without holes, its width and height, the places of the discs, what "
+        "holds its edges, and the order of the channels"
     )

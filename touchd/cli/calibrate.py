@@ -103,16 +103,13 @@ def command(
     line = f"touchd calibrate {given} -o {output.name} --plate {plate_file.name}".replace("  ", " ")
     with Bars() as bars:
 
-        def update(part: str, share: float, note: str = "") -> None:
+        def update(stage: str, share: float) -> None:
             if as_lines:
-                click.echo(json.dumps({"stage": note or part, "share": round(share, 3)}))
+                click.echo(json.dumps({"stage": stage, "share": round(share, 3)}))
             else:
-                bars.update(part, round(_STEPS * share), _STEPS, note)
+                bars.update(stage, round(_STEPS * share), _STEPS)
 
-        def fitting(stage: str, share: float) -> None:
-            update("plate", share, stage)
-
-        fitted = fit_recording(frames, said, fitting)
+        fitted = fit_recording(frames, said, update)
         poor = fitted.fit.verdict == "poor"
         made = None if poor and not force else make_model(fitted, output, taps=taps, command=line, progress=update)
         fitted = made.fitted if made else fitted

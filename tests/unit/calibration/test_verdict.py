@@ -79,6 +79,8 @@ def test_sides_that_contradict_each_other() -> None:
     )
     assert found.expected_mm > 3.7 * 0.09
     assert judged(contradiction=1.9).verdict == "good"
+    other = judged(contradiction=3.7, parameters=(PLAIN, *sides), found=("a height of 90.8 mm fits, not 90 mm",))
+    assert other.reasons == found.reasons, "one of two that may be wrong is not named alone"
 
 
 def test_worse_physics_expect_more() -> None:
