@@ -75,10 +75,6 @@ class Nuisance:
         self._power, self._last, self._white, self._frames = [0.0] * 3, [0.0] * 3, 0.0, 0
         self._set_active([False] * 3)
 
-    def restart(self) -> None:
-        """Estimate how the drive changes from the next frames on, as the noise is another."""
-        self._frames = min(self._frames, 1)
-
     def forget_fingers(self) -> None:
         """Expect no finger in the next frame."""
         if self._changes:
@@ -98,7 +94,7 @@ class Nuisance:
         self._last = along
         self._white += (white - self._white) / self._frames
         found = [power > ACTIVE * self._white > 0 for power in self._power]
-        if found != self._found:
+        if found != self.active.tolist():
             self._set_active(found)
 
     def hear(self, vector: Array) -> None:
@@ -108,8 +104,7 @@ class Nuisance:
             vector -= (self._along * self.active) @ self._drive
 
     def _set_active(self, found: list[bool]) -> None:
-        self._found, self._changes = found, any(found)
-        self.active = np.array(found)
+        self.active, self._changes = np.array(found), any(found)
         self._followed[:] = 0.0
 
     def remove(self, vector: Array, runs: list[Array], mask: Array | None) -> None:

@@ -126,7 +126,6 @@ class PlateModel:
             self._select()
         if detection.noise_changed:
             self.noise.restart(min(detection.noise_energy / max(self._noise_energy, 1e-30), 1.0))
-            self.nuisance.restart()
             self._select()
         self._noise_energy = detection.noise_energy
         self._untouched_ns += detection.period_ns

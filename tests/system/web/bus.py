@@ -117,7 +117,7 @@ def lifted(bus: Bus) -> None:
         bus.poll()
         bus.publish(TouchEvent("pane 1", 1, at_ns, wall, 0, five(0, "up"), latency_us=312.0))
         bus.health(0)
-        time.sleep(1.0)
+        time.sleep(1.0)  # as often as a daemon at rest
 
 
 def play(bus: Bus, rate_hz: float = RATE_HZ, step: int = SHOWN, **wrong: Any) -> None:

@@ -49,6 +49,16 @@ def made(folder: Path) -> tuple[Worker, State]:
     ), state
 
 
+def on_trial(folder: Path) -> tuple[Worker, State, Path]:
+    """A worker that tries a model in the place of another, and that place."""
+    worker, state = made(folder)
+    target = folder / "model.onnx"
+    install(SHIPPED, target)
+    install(SHIPPED.with_name("small.onnx"), state.model)
+    worker.answer({"do": "try"})
+    return worker, state, target
+
+
 def await_that(fact: Callable[[], bool]) -> None:
     """Wait until a fact holds."""
     for _ in range(6000):  # a process that starts on a busy machine
@@ -501,11 +511,7 @@ def test_taken(tmp_path: Path) -> None:
 
 def test_others_change_the_model(tmp_path: Path) -> None:
     """What `touchd model` does during a trial is seen: one is back already, or cannot go back, which is said."""
-    worker, state = made(tmp_path)
-    target = tmp_path / "model.onnx"
-    install(SHIPPED, target)
-    install(SHIPPED.with_name("small.onnx"), state.model)
-    worker.answer({"do": "try"})
+    worker, state, target = on_trial(tmp_path)
     rollback(target)
     assert worker.answer({"do": "rollback"}) == {"ok": True}
     assert (state["runs"], digest(target)) == ("before", digest(SHIPPED))
@@ -519,11 +525,7 @@ def test_others_change_the_model(tmp_path: Path) -> None:
 
 def test_trial_ended_elsewhere(tmp_path: Path) -> None:
     """A trial that `touchd model` ends on a terminal ends on the page; a second click on the way back is no mistake."""
-    worker, state = made(tmp_path)
-    target = tmp_path / "model.onnx"
-    install(SHIPPED, target)
-    install(SHIPPED.with_name("small.onnx"), state.model)
-    worker.answer({"do": "try"})
+    worker, state, target = on_trial(tmp_path)
     worker.look()
     assert (state["runs"], bool(state["before"])) == ("fitted", True)
     rollback(target)
