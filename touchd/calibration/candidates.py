@@ -4,7 +4,8 @@ Swapped cables, another thickness, material or side, a clamped edge, and a disc 
 arrivals, at low frequencies, where a small eigenproblem does; in steady state, which has no first arrivals alone, on
 the whole frame. The best is then fitted whole, and, where that does not fit, taken for the next round: two facts may be
 wrong.
-Soft edges and rolled sheet, which these hardly know, are tried on the whole frame from where the fit has ended.
+Corners may be rounded, too. Soft edges, rolled sheet and small radii, which these hardly know, are tried on the whole
+frame from where the fit has ended.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from touchd.calibration.loads import SIDES
 from touchd.calibration.parameters import Reader, held_sides, is_plastic, wavelength_mm
-from touchd.calibration.plate_file import Edges, Place, PlateFile
+from touchd.calibration.plate_file import Edges, Place, PlateFile, check_places
 from touchd.calibration.reduced_plate import Floats, ReducedPlate, shape_of
 from touchd.calibration.stages import WHOLE, State, descend, window_of
 from touchd.calibration.untouched import Untouched
@@ -51,6 +52,13 @@ MOST_A_ROUND = 2
 SOFT_STEPS, SOFT_BETTER = 4, 0.9
 """Tape on soft edges leaves less than this share after so many steps, 0.42 to 0.83 where there is some (twin): other
 unknowns have taken its part, and yield in a fit of all."""
+RADII_MM, RADIUS_MM = (3.0, 6.0, 9.0, 13.0, 18.0, 25.0), 4.0
+"""Of rounded corners that are tried on the first arrivals, and how surely these tell them."""
+ROUNDED_MM = 3.0
+"""From there a fit that is near finds radii of 1.5 to 7 mm (twin)."""
+ROUNDED_FIT = (
+    "rounded corners fit, with a radius of {plate.corner_radius_mm:.1f} mm: measure it, and give it (`corner_radius_mm`)"
+)
 SHEET_FITS = "a sheet that is stiffer along one side fits, as rolled metal is: say that it is rolled (`rolled = true`)"
 OTHERWISE = 1.1
 """Another wiring, or a disc elsewhere, must pay: a symmetric layout has several wirings that are alike, and a disc has
@@ -130,6 +138,20 @@ def rolled(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPl
     return [Candidate(sheet, (SHEET_FITS,), left / state.left)] if left < BETTER * state.left else []
 
 
+def rounded(said: PlateFile, untouched: Untouched, state: State) -> list[Candidate]:
+    """Return the plate with rounded corners, if they are said to be sharp and rounded ones leave less than the fit."""
+    if said.plate.corner_radius_mm:
+        return []
+    reader = Reader(_with(said, corner_radius_mm=ROUNDED_MM), untouched.acquisition)
+    p = reader.start.copy()
+    p[reader.index(Reader(said, untouched.acquisition).names)] = state.p
+    plate = ReducedPlate(reader.plate(p), untouched.acquisition.chirp.band_hz[1])
+    tried = descend(UntouchedModel(plate, reader, untouched), p, (*state.names, *reader.corner), WHOLE, SOFT_STEPS)
+    there_mm = round(reader.plate(tried.p).corner_radius_mm, 1)
+    candidate = Candidate(_with(said, corner_radius_mm=there_mm), (ROUNDED_FIT,), tried.left / state.left)
+    return [candidate] if candidate.left < BETTER else []
+
+
 def _with(said: PlateFile, **changed: object) -> PlateFile:
     return said.model_copy(update={"plate": said.plate.model_copy(update=changed)})
 
@@ -155,6 +177,9 @@ def _other_plates(said: PlateFile) -> list[tuple[PlateFile, str]]:
     for name in MATERIALS:
         if name != (plate.material or "").lower():
             found.append(of_material(said, name))
+    if not plate.corner_radius_mm:
+        rounder = [_with(said, corner_radius_mm=r, corner_radius_uncertainty_mm=RADIUS_MM) for r in RADII_MM]
+        found += [(each, ROUNDED_FIT) for each in rounder if not any(check_places(each))]
     if not held_sides(said):
         for side in SIDES:
             edges = Edges.model_validate({side: "clamped"})

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchd.calibration.reduced_plate import BareModes, Complex, Floats, ReducedPlate, modes_of
+from touchd.calibration.reduced_plate import BareModes, Complex, Floats, ReducedPlate
+from touchd.twin.physics.plate import modes_of
 
 _FEW = 6
 """Times the number of vectors: with fewer modes a plate is solved by its own."""

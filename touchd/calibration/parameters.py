@@ -32,6 +32,7 @@ STRETCH_PRIOR = 0.5
 """Relative, of how far the plate's middle moves a disc in the plane over how far the plate's rotations do."""
 PLANE_PRIOR, LEAST_PLANE = 0.05, 0.1
 """Of stiffness over mass in the plane: a display of 0.7 mm bonded on 5 mm of glass takes 12 % of it across alone."""
+LEAST_CORNER_MM = 0.5
 ROLLED_PRIOR = 0.05
 """Of how stiff a sheet is along the width over along the height, and of how stiff in shear: rolling leaves 10 %."""
 ROLLED_RANGE = 0.5, 2.0
@@ -104,6 +105,8 @@ def unknowns_of(said: PlateFile, chirp: Chirp) -> tuple[Unknown, ...]:
             Unknown("orthotropy", "stiffness along the width over that along the height", "", 1.0, ROLLED_PRIOR),
             Unknown("shear_ratio", "stiffness in shear over an isotropic plate's", "", 1.0, ROLLED_PRIOR),
         ]
+    if p.corner_radius_mm:
+        found.append(Unknown("corner", "corner radius", "mm", p.corner_radius_mm, p.corner_radius_uncertainty_mm))
     for side, kind in held_sides(said).items():
         start = start_of(kind, float(np.mean(chirp.band_hz)))
         found += [
@@ -169,6 +172,8 @@ class Reader:
         """Names of the edges' unknowns, for example `left damping`."""
         self.rolled = tuple(name for name in ROLLED if name in self._at)
         """Names of what a rolled sheet has."""
+        self.corner = tuple(name for name in self.names if name == "corner")
+        """Name of the corners' radius, of rounded ones."""
         self.scatterers = tuple(name for name in self.names if name.startswith("scatterer "))
         """Names of the scatterers' numbers."""
         self._plate, self._layout = said.twin_plate(), said.layout()
@@ -187,10 +192,12 @@ class Reader:
         """Return what a vector says, in SI units."""
         v = dict(zip(self.names, p.tolist(), strict=True))
         s, layout = self._said, self._layout
+        orthotropy, shear_ratio = (float(np.clip(v.get(name, 1.0), *ROLLED_RANGE)) for name in ROLLED)
         shape = Shape(
             s.speed2 * np.exp(2 * v["speed"]), s.h * np.exp(v["thickness"]), v["poisson"],
             v["width"] * 1e-3, v["height"] * 1e-3, max(v["plane"], LEAST_PLANE),
-            *(np.clip(v.get(name, 1.0), *ROLLED_RANGE) for name in ROLLED),
+            orthotropy, shear_ratio,
+            1e-3 * max(v["corner"], LEAST_CORNER_MM) if self.corner else 0.0,
         )  # fmt: skip
         discs = Discs(
             p[self._places].reshape(-1, 2) * 1e-3,
@@ -227,6 +234,7 @@ class Reader:
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
             "stiffness": ("stiffness", STIFFNESS_M3), "gyration": ("gyration2", self._gyration2_m2),
             "stretch": ("stretch", 1e3), "plane": ("plane", 1.0), **{name: (name, 1.0) for name in self.rolled},
+            **{name: (name, 1e-3) for name in self.corner},
         }  # fmt: skip
         found |= {name: (name, 1.0) for name in self.edges}
         found |= {name: (name, unit) for name, unit in zip(self.scatterers, cycle(self._scatterer_units))}
@@ -244,6 +252,7 @@ class Reader:
             thickness_mm=round(shape.h * 1e3, 6),
             material=self._plate.material,
             elastic=Material(shape.speed2 * rho, shape.nu, rho, shape.orthotropy, shape.shear_ratio),
+            corner_radius_mm=round(shape.corner * 1e3, 3),
         )  # fmt: skip
 
     def layout(self, p: Floats) -> Layout:

@@ -30,6 +30,7 @@ from touchd.localization.position_error import UNUSUAL
 from touchd.training.field.bins import TAPER, informative, weights
 from touchd.training.field.error_scale import calibrate, field_error, noisy_levels
 from touchd.training.field.place import FieldMap, place
+from touchd.twin.physics.corners import inside
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.record import Record
@@ -91,7 +92,7 @@ class PhysicalField:
         a = fit.acquisition
         self.steady = a.chirp.period_s is not None
         self.reference, self.areas = (LIGHT_FINGER, STEADY_AREAS) if self.steady else (TIP, AREAS)
-        self._size_mm = np.array(fit.plate.size_mm)
+        self.size_mm, self.corner_radius_mm = np.array(fit.plate.size_mm), fit.plate.corner_radius_mm
         record = Record(a)
         nu = record.nu_rad_s
         self._response = fit.response(nu)
@@ -159,10 +160,10 @@ class PhysicalField:
 
     def _contact(self, position_mm: Floats, touch: Reference) -> tuple[Floats | Complex, Complex]:
         """Return the plate's modes under n contacts, and by what they weigh on it at each frequency, shape (F, 1)."""
-        position_mm = np.clip(position_mm, 0.0, self._size_mm)  # rounded sizes may lie a nanometre beyond
-        edge_mm = np.minimum(position_mm, self._size_mm - position_mm).min(axis=1)
+        # The atlas' sides are rounded to a micrometre, and its corners are sharp.
+        position_mm, edge_mm = inside(position_mm, self.size_mm, self.corner_radius_mm)
         # Of a disc as wide as the plate admits rounding must not reach over the edge.
-        area = np.minimum(touch.face_mm2, (1 - 1e-9) * np.pi * np.maximum(edge_mm, 0.0) ** 2)
+        area = np.minimum(touch.face_mm2, (1 - 1e-9) * np.pi * edge_mm**2)
         nu = self._response.nu_rad_s
         shape = self._response.shape_at(position_mm[:, 0], position_mm[:, 1], area)
         return shape, (1j * nu * impedance(touch.tissue, nu, touch.area_mm2))[:, None]
@@ -202,7 +203,7 @@ def make_physical_atlas(
     wavenumber_rad_m = mindlin_wavenumber(fit.plate, f_hz)
     step_mm = round(1e3 * np.pi / float(wavenumber_rad_m[-1]) / STEPS_PER_WAVE, 2)
     x, y = (grid_of(side_mm, step_mm) for side_mm in plate.size_mm)
-    position_mm, values = draw(field, np.array(plate.size_mm))
+    position_mm, values = draw(field)
     variance = BASELINE_NOISE * noise_counts**2 * float(np.square(a.window(TAPER)).sum())
     snr = np.square(np.abs(values)).mean(axis=(0, 1)) / max(variance, 1e-12)
     kept = informative(snr, wavenumber_rad_m, a)
@@ -246,12 +247,13 @@ def as_reference(plain: Atlas, values: Complex, position_mm: Floats, yields: Com
     return np.asarray(found)
 
 
-def draw(field: PhysicalField, size_mm: Floats) -> tuple[Floats, Complex]:
+def draw(field: PhysicalField) -> tuple[Floats, Complex]:
     """Draw touches of other areas than the atlas' all over the plate: places (n, 2) and exact bins (n, R, b)."""
     rng = np.random.default_rng(_SEED)
     ratios, touch = np.linspace(*field.areas, 5), field.reference
     margin_mm = np.sqrt(field.areas[1] * touch.face_mm2 / np.pi)
-    position_mm = rng.uniform(margin_mm, size_mm - margin_mm, (DRAWN, 2))
+    anywhere_mm = rng.uniform(margin_mm, field.size_mm - margin_mm, (DRAWN, 2))
+    position_mm, _ = inside(anywhere_mm, field.size_mm, field.corner_radius_mm, margin_mm)
     parts = np.array_split(position_mm, len(ratios))
     values = [
         field.at(part, Reference(touch.tissue, ratio * touch.area_mm2, ratio * touch.face_mm2))

@@ -24,6 +24,7 @@ from touchd.frame import Acquisition
 from touchd.training.field.bins import TAPER
 from touchd.training.field.place import linearise
 from touchd.twin.physics import legendre
+from touchd.twin.physics.corners import inside
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.plate import polynomials_for, size_m, solve
 from touchd.twin.record import Record
@@ -202,7 +203,8 @@ class PlateMap:
         for move in range(moves):
             for k in range(len(discs)):
                 reach = 0.25 * size * (1 - move / moves) + 2.0
-                tried = np.clip(discs[k] + reach * rng.standard_normal(2), margin, size - margin).round()
+                beside = discs[k, None] + reach * rng.standard_normal(2)
+                tried = inside(beside, size, self._plate.corner_radius_mm, margin)[0][0].round()
                 others = np.delete(discs, k, axis=0)
                 progress((move * len(discs) + k + 1) / (moves * len(discs)))
                 if np.linalg.norm(others - tried, axis=1).min() < apart or is_mirrored(tried, others, size):

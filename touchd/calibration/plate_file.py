@@ -7,16 +7,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import PlateFileInvalid
 from touchd.files import read_toml
 from touchd.frame import Plate, impossible_lengths
+from touchd.twin.physics.corners import inside
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.transducer import Layout
 
 LEAST_DISC_MM = 2.0
 """No wider than thick: what bends a plate is wider."""
+ROUNDING_MM = 1e-9
 Edge = Literal["free", "pads", "tape", "clamped"]
 Millimetres = Annotated[float, Field(gt=0, le=1e5, strict=True)]
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
@@ -51,9 +54,12 @@ class PlateSaid(_Table):
     density_kg_m3: float | None = Field(default=None, ge=100, le=30_000)
     rolled: bool = False
     """Whether it is rolled sheet, stiffer along one side than along the other."""
+    corner_radius_mm: float = Field(default=0.0, ge=0, le=1e5)
+    """Of all four corners; 0 where they are sharp."""
     width_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
     height_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
     thickness_uncertainty_mm: float = Field(default=0.03, gt=0, le=10)
+    corner_radius_uncertainty_mm: float = Field(default=1.0, gt=0, le=100)
     edge: Edge | Edges = "free"
     """What holds the sides: the fit finds how stiff, heavy and lossy it is."""
 
@@ -107,7 +113,8 @@ class PlateFile(_Table):
 
     def twin_plate(self) -> ElasticPlate:
         """Return the plate as the twin takes it."""
-        return ElasticPlate(**self.described().model_dump(), elastic=self.plate.elastic)
+        p = self.plate
+        return ElasticPlate(**self.described().model_dump(), elastic=p.elastic, corner_radius_mm=p.corner_radius_mm)
 
     def layout(self) -> Layout:
         """Return the discs as the twin takes them."""
@@ -131,7 +138,7 @@ def check_plate_file(content: dict[str, Any], where: str = "PLATE.toml") -> Plat
     except ValidationError as error:
         raise _refused([*_explained(error)], where) from error
     # Lengths in metres put every disc in the wrong place: places are checked once the lengths are right.
-    if wrong := [*_check_material(said.plate), *_check_lengths(said)] or [*_check_places(said)]:
+    if wrong := [*_check_material(said.plate), *_check_lengths(said)] or [*check_places(said)]:
         raise _refused(wrong, where)
     return said
 
@@ -228,17 +235,20 @@ def _check_lengths(said: PlateFile) -> Iterator[Mistake]:
         yield what, f"plate.{key}", fix
     if discs.diameter_mm < LEAST_DISC_MM:
         yield f"{discs.diameter_mm:g} mm is no disc: metres or centimetres?", "discs.diameter_mm", fix
+    if plate.corner_radius_mm > min(plate.width_mm, plate.height_mm) / 2:
+        yield "is more than half of the shorter side", "plate.corner_radius_mm", "measure it again"
     for name, key, place in _places(discs):
         if 0 < max(place) < 1 and min(place) >= 0:
             yield f"{name} at ({place[0]:g}, {place[1]:g}) looks like metres", key, fix
 
 
-def _check_places(said: PlateFile) -> Iterator[Mistake]:
-    """Refuse discs that reach over the edge or into each other."""
+def check_places(said: PlateFile) -> Iterator[Mistake]:
+    """Yield what is wrong of places: discs over the edge or on each other, and scatterers beside the plate."""
     plate, radius = said.plate, said.discs.diameter_mm / 2
-    places = _places(said.discs)
+    places, size_mm = _places(said.discs), np.array([plate.width_mm, plate.height_mm])
+    _, edges_mm = inside(np.array([place for *_, place in places]), size_mm, plate.corner_radius_mm)
     for number, (name, key, (x, y)) in enumerate(places):
-        if not (radius <= x <= plate.width_mm - radius and radius <= y <= plate.height_mm - radius):
+        if edges_mm[number] < radius - ROUNDING_MM:
             what = f"{name}, of {2 * radius:g} mm at ({x:g}, {y:g}), reaches over the edge of the "
             what += f"{plate.width_mm:g} x {plate.height_mm:g} mm plate"
             yield what, key, "measure from the top left corner, x to the right and y down"

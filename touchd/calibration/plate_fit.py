@@ -15,6 +15,7 @@ from touchd.calibration.candidates import (
     material_like,
     of_material,
     rolled,
+    rounded,
     soft_edges,
 )
 from touchd.calibration.loads import Edges, Loss, attachments
@@ -39,12 +40,16 @@ errors are within a standard error on 90 x 70 mm, nine in ten on 220 x 160 mm)."
 SHEET_LEFT = 3e-4
 """Metal that leaves more may be rolled: 6 % of orthotropy leave 0.2 % on 90 x 70 x 3 mm at 96 kHz, and discs that are
 0.7 mm off (twin)."""
+ROUNDED_LEFT = 1e-3
+"""A plate that leaves more may have rounded corners: a radius of 3 mm leaves 0.6 % on 220 x 160 mm, of 2 mm 0.3 % on
+90 x 70 mm (twin)."""
 HALF = 0.5
 """Another plate than the one said must leave less than this share of what the said one leaves."""
 ENOUGH_LEFT = 0.03
 """Another plate that leaves more may have one wrong fact of two: a disc 12 mm off leaves 12 % (twin)."""
 MOST = ROUNDS * MOST_A_ROUND + 3
-"""As many candidates are fitted whole: those of all rounds, a sheet, a scatterer, and another material."""
+"""As many candidates are fitted whole: those of all rounds; or rounded corners or a sheet; a scatterer; and another
+material."""
 Progress = Callable[[str, float], object]
 """Receives the stage's name and the share of its work that is done, 0 .. 1: of candidates, of all that may come."""
 
@@ -142,6 +147,8 @@ def _others(said: PlateFile, untouched: Untouched, fit: PlateFit, state: State) 
     """Yield other plates to try, the likeliest first; each is looked for when those before do not fit."""
     if fit.left > USABLE_LEFT:
         yield from candidates(said, untouched)
+    if USABLE_LEFT >= fit.left > ROUNDED_LEFT:
+        yield from rounded(said, untouched, state)
     if fit.left > SHEET_LEFT:
         yield from rolled(said, untouched, state, fit.basis, near=fit.left <= USABLE_LEFT)
     if fit.left > GOOD_LEFT:

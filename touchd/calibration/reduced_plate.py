@@ -10,18 +10,22 @@ Energies are per mass of the plate: a mode has the mass 1 if it carries the plat
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.twin.physics import in_plane, legendre
-from touchd.twin.physics.material import ElasticPlate, Material, material_of, stiffness_of
+from touchd.calibration import energy_forms
+from touchd.calibration.energy_forms import Pair
+from touchd.twin.physics import in_plane
+from touchd.twin.physics.material import ElasticPlate, Material, corner_radius_m, material_of, stiffness_of
 from touchd.twin.physics.plate import (
     LEAST_MARGIN,
     MANY_POLYNOMIALS,
     ClassModes,
     Slices,
+    modes_of,
     polynomials_for,
     solve_classes,
 )
@@ -33,6 +37,8 @@ Array = TypeVar("Array", Floats, Complex)
 
 BASIS, BASIS_OF_MANY = 3.0, 1.8
 """Modes up to this many times the highest frequency are the basis; fewer where a plate has thousands."""
+MOST_GROWN = 1.3
+"""Of the pieces beyond rounded corners, over the reference's: what is linear takes more mass away than there is."""
 IN_PLANE, IN_PLANE_OF_MANY = 1.3, 1.05
 """The same of modes in the plate's plane: with twice as many a fit leaves half of 2e-4 (twin)."""
 
@@ -54,6 +60,8 @@ class Shape(NamedTuple):
     orthotropy: float = 1.0
     shear_ratio: float = 1.0
     """As `Material` has them."""
+    corner: float = 0.0
+    """Radius of the corners, m."""
 
 
 SHAPE_NAMES = Shape._fields
@@ -65,7 +73,7 @@ def shape_of(plate: ElasticPlate) -> Shape:
     speed2, h = m.E_pa / m.rho_kg_m3, plate.thickness_mm * 1e-3
     return Shape(
         speed2, h, m.nu, plate.width_mm * 1e-3, plate.height_mm * 1e-3,
-        orthotropy=m.orthotropy, shear_ratio=m.shear_ratio,
+        orthotropy=m.orthotropy, shear_ratio=m.shear_ratio, corner=corner_radius_m(plate),
     )  # fmt: skip
 
 
@@ -135,8 +143,11 @@ class ReducedPlate:
         bending = solve_classes(plate, self.counts, basis * highest_hz)
         plane_counts = in_plane.polynomials_for(plate, highest_hz)
         plane = in_plane.solve_classes(plate, plane_counts, beside * highest_hz)
-        self.classes = [_class_of(each, unit, self.counts) for each in bending]
-        self.classes += [_class_in_plane(each, unit, plane_counts) for each in plane]
+        self.classes = [
+            _class_of(each, unit, counts, self.reference)
+            for classes, counts in ((bending, self.counts), (plane, plane_counts))
+            for each in classes
+        ]
         modes = [len(each.stiff[0]) for each in self.classes]
         self.in_plane = np.repeat(np.arange(len(modes)) >= len(bending), modes)
         """Which modes lie in the plane, shape (n,): they have u and v where others have rotations."""
@@ -151,7 +162,7 @@ class ReducedPlate:
         return modes._replace(omega2=modes.omega2 * (shape.speed2 / unit.speed2))
 
     def _solve(self, shape: Shape) -> BareModes:
-        (stiff, heavy), (_, there) = _factors(shape), _factors(self.reference)
+        (stiff, heavy), (_, there) = self._factors(shape), self._factors(self.reference)
         more = {number: factors - there[number] for number, factors in heavy.items()}
         omega2, turns = [], []
         for each in self.classes:
@@ -178,7 +189,7 @@ class ReducedPlate:
     def slopes(self, shape: Shape, name: str) -> list[tuple[Floats, Floats] | None]:
         """Return, for each class, the derivatives (n, n) of stiffness and mass; None where there are none."""
         step = 1e-4 * getattr(shape, name)
-        ends = [_factors(shape._replace(**{name: getattr(shape, name) + sign * step})) for sign in (1, -1)]
+        ends = [self._factors(shape._replace(**{name: getattr(shape, name) + sign * step})) for sign in (1, -1)]
         stiff, heavy = (
             {number: (above[number] - below[number]) / (2 * step) for number in above}
             for above, below in zip(*ends, strict=True)
@@ -187,6 +198,17 @@ class ReducedPlate:
             each.sums((stiff, heavy)) if stiff[len(each.stiff)].any() or heavy[len(each.heavy)].any() else None
             for each in self.classes
         ]
+
+    def _factors(self, s: Shape) -> _Factors:
+        """Return the factors of a class' forms: of each form, and where corners are rounded of its slope, too."""
+        across, W, H = (s.h * s.nu / (1 - s.nu)) ** 2 / 12, s.width, s.height
+        stiff = [_stiff_factors(s), s.plane * _plane_factors(s)]
+        heavy = [np.array([s.h**2 / 12]), np.array([across / W**2, across / H**2, 2 * across / (W * H)])]
+        if radius := self.reference.corner:
+            grown = (1 - min((s.corner / radius) ** 2, MOST_GROWN)) / 2  # as the pieces' area
+            stiff = [np.concatenate([each, grown * each]) for each in stiff]
+            heavy = [np.concatenate([each, grown * each, [grown]]) for each in heavy]
+        return {len(each): each for each in stiff}, {len(each): each for each in heavy}
 
     def turned(self, values: Floats, bare: BareModes) -> Floats:
         """Turn values in the reference's modes (n, k) into another plate's, class by class."""
@@ -206,74 +228,19 @@ class ReducedPlate:
         return np.concatenate(found)
 
 
-def modes_of(stiffness: Floats, mass: Floats) -> tuple[Floats, Floats]:
-    """Return squares of angular frequencies (n,), and in columns modes of unit mass (n, n), of two matrices (n, n).
+def _class_of(modes: ClassModes, unit: float, counts: tuple[int, int], shape: Shape) -> _Class:
+    """Return the energies' forms between the modes of one class, that bend the plate or lie in its plane."""
+    fields = energy_forms.fields_of(modes, unit, counts, (shape.width, shape.height), shape.corner)
+    (w, a, b), plane = fields.values, energy_forms.in_plane(fields)
 
-    Raises
-    ------
-    LinAlgError
-        If the mass is not positive.
-    """
-    half = np.linalg.inv(np.linalg.cholesky(mass))
-    squares, vectors = np.linalg.eigh(half @ stiffness @ half.T)
-    return squares, half.T @ vectors
+    def energies(of: Callable[[Sequence[Pair]], list[Floats]]) -> tuple[list[Floats], list[Floats], Floats]:
+        stiff, squares = of(plane), of([(w, w), (a, a), (b, b)])
+        if not modes.fields[0].size:
+            return stiff, stiff[:3], squares[1] + squares[2]
+        return stiff + of(energy_forms.across(fields)), [squares[1] + squares[2]], squares[0]
 
-
-def _factors(s: Shape) -> _Factors:
-    """Return the factors of a class' forms."""
-    across, W, H = (s.h * s.nu / (1 - s.nu)) ** 2 / 12, s.width, s.height
-    stiff = _stiff_factors(s), s.plane * _plane_factors(s)
-    heavy = np.array([s.h**2 / 12]), np.array([across / W**2, across / H**2, 2 * across / (W * H)])
-    return {len(each): each for each in stiff}, {len(each): each for each in heavy}
-
-
-def _class_of(modes: ClassModes, unit: float, counts: tuple[int, int]) -> _Class:
-    """Return the energies' forms between the modes of one class of bending waves."""
-    w, px, py = (unit * field for field in modes.fields)
-    along = _Along(modes, counts)
-    w_x, w_y = along.x(w, 0), along.y(w, 0)
-    stiff = along.plane(px, py)
-    stiff += [_form(a, b) for a, b in ((w_x, w_x), (w_x, px), (px, px), (w_y, w_y), (w_y, py), (py, py))]
-    return _Class(_flat(w, px, py), modes.places, stiff, [stiff[8] + stiff[11]])
-
-
-def _class_in_plane(modes: ClassModes, unit: float, counts: tuple[int, int]) -> _Class:
-    """Return the energies' forms between the modes of one class of waves in the plane."""
-    nothing, u, v = (unit * field for field in modes.fields)
-    stiff = _Along(modes, counts).plane(u, v)
-    return _Class(_flat(nothing, u, v), modes.places, stiff, stiff[:3])
-
-
-class _Along:
-    """Derivatives of a class' fields on the unit square."""
-
-    def __init__(self, modes: ClassModes, counts: tuple[int, int]) -> None:
-        self._places, self._d = modes.places, [legendre.derivative(1.0, count) for count in counts]
-
-    def x(self, values: Floats, field: int) -> Floats:
-        own = self._places[field][0]
-        return np.asarray(np.einsum("ij,njk->nik", self._d[0][_other(own), own], values, optimize=True))
-
-    def y(self, values: Floats, field: int) -> Floats:
-        own = self._places[field][1]
-        return np.asarray(values @ self._d[1][_other(own), own].T)
-
-    def plane(self, a: Floats, b: Floats) -> list[Floats]:
-        """Return the six forms of the strain energy of fields along x and y: rotations, or displacements."""
-        a_x, a_y, b_x, b_y = self.x(a, 1), self.y(a, 1), self.x(b, 2), self.y(b, 2)
-        return [_form(*pair) for pair in ((a_x, a_x), (b_y, b_y), (a_x, b_y), (a_y, a_y), (b_x, b_x), (a_y, b_x))]
-
-
-def _form(a: Floats, b: Floats) -> Floats:
-    product = a.reshape(len(a), -1) @ b.reshape(len(b), -1).T
-    return product if a is b else (product + product.T) / 2
-
-
-def _flat(*fields: Floats) -> tuple[Floats, Floats, Floats]:
-    w, a, b = (field.reshape(len(field), -1) for field in fields)
-    return w, a, b
-
-
-def _other(own: slice) -> slice:
-    """Return the polynomials of the other parity: a derivative turns even ones into odd ones."""
-    return slice(1 - own.start, own.stop, 2)
+    stiff, heavy, _ = energies(energy_forms.forms)
+    if shape.corner:
+        more = energies(energy_forms.taken)
+        stiff, heavy = stiff + more[0], [*heavy, *more[1], more[2]]
+    return _Class((w.whole, a.whole, b.whole), modes.places, stiff, heavy)

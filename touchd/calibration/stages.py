@@ -26,8 +26,9 @@ ORTHOTROPIES, SHEAR_RATIOS = (0.9, 0.95, 1.0, 1.05, 1.1), (0.92, 1.0)
 """Starts of a rolled sheet."""
 RIVAL = 1.5
 """A second minimum of the scan is started from too while its misfit is less than this times the best one's."""
-MOVED_THICKNESS, MOVED_POISSON = 0.015, 0.03
-"""Changes beyond which the basis is computed again; up to them modes' frequencies are off by less than 1e-4."""
+MOVED_THICKNESS, MOVED_POISSON, MOVED_CORNER = 0.015, 0.03, 0.02
+"""Changes, the last relative, beyond which the basis is computed again; up to them modes' frequencies are off by less
+than 1e-4."""
 MODEL_ERROR_SAMPLES = 20.0
 """Samples of model error that count as one. It is correlated in time and between channels; with full weight the fit
 runs from the ruler along the valley of width, height and wave speed. On two plates of another simulator full weight
@@ -134,7 +135,7 @@ def run_stages(
     plate, clamped = _plate_near(reader, reader.start, untouched), "clamped" in reader.held.values()
     first = UntouchedModel(plate, reader, untouched, edges=clamped, scatterers=False)
     progress(0.1)
-    places, edges = reader.places, (*reader.edges, *reader.scatterers)
+    places, edges = reader.places, (*reader.edges, *reader.corner, *reader.scatterers)
 
     def fit_first(start: Floats) -> State:
         state = descend(first, start, ("speed", "loss", *reader.rolled), EARLY, 2)
@@ -148,19 +149,28 @@ def run_stages(
     progress(0.4)
     state = descend(model, state.p, (*PLATE, *reader.rolled, *edges, *places), WHOLE, 4)
     progress(0.5)
-    here, there = model.plate.reference, reader.read(state.p).shape
-    if abs(np.log(there.h / here.h)) >= MOVED_THICKNESS or abs(there.nu - here.nu) >= MOVED_POISSON:
-        model = UntouchedModel(_plate_near(reader, state.p, untouched), reader, untouched)
+    model = _near(model, state.p)
     progress(0.55)
     state = descend(model, state.p, (*PLATE, *DISCS, *reader.rolled, *edges, *places), WHOLE, 8)
     energy = np.square(model.measured - model.beside(state.fitted)).sum()
     if state.left > HOPELESS * energy:
         return state, model
+    if (nearer := _near(model, state.p)) is not model:
+        model, state = nearer, descend(nearer, state.p, state.names, WHOLE, 8)
     if state.left > GOOD_LEFT * energy:
         again = descend(model, _with_plane(model, state), state.names, WHOLE, 8)
         state = min(state, again, key=lambda one: one.left)
     progress(0.75)
     return descend(model, _with_beads(model, state), (*state.names, *reader.joints), WHOLE, 8), model
+
+
+def _near(model: UntouchedModel, p: Floats) -> UntouchedModel:
+    """Return a model whose basis is near a vector's plate: the same, or another one."""
+    here, there = model.plate.reference, model.reader.read(p).shape
+    moved = abs(np.log(there.h / here.h)) >= MOVED_THICKNESS or abs(there.nu - here.nu) >= MOVED_POISSON
+    if moved or abs(there.corner - here.corner) > MOVED_CORNER * here.corner:
+        return UntouchedModel(_plate_near(model.reader, p, model.untouched), model.reader, model.untouched)
+    return model
 
 
 def _with_plane(model: UntouchedModel, state: State) -> Floats:

@@ -17,6 +17,7 @@ from touchd.calibration.parameters import Reader
 from touchd.calibration.reduced_plate import Complex, Floats, ReducedPlate
 from touchd.calibration.untouched import Untouched
 from touchd.frame import Acquisition
+from touchd.twin.physics.corners import inside
 from touchd.twin.record import Record
 
 GAIN_TERMS = 3
@@ -158,7 +159,7 @@ class UntouchedModel:
         What a gain and the background would do is taken out.
         """
         response, shape = self._response(p), self.reader.read(p).shape
-        places_m = np.clip(places_m, 0.0, np.array([shape.width, shape.height]))
+        places_m, _ = inside(places_m, np.array([shape.width, shape.height]), shape.corner)
         basis = [np.linalg.qr(B.T)[0] for B in self._heard_basis(response.untouched())]
         heard = fitted.gains @ self._emission  # (R, F)
         for part in np.array_split(places_m, np.ceil(len(places_m) / _AT_ONCE)):

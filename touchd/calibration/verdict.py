@@ -167,6 +167,6 @@ def _contradiction(parameters: Sequence[Parameter]) -> str:
 def _unexplained(left: float) -> str:
     return (
         f"the plate's physics leave {left:.1%} of the response: check that nothing touches it, that it is one "
-        "rectangular pane with sharp corners and without holes, its width and height, the places of the discs, what "
+        "rectangular pane without holes, its corners alike, its width and height, the places of the discs, what "
         "holds its edges, and the order of the channels"
     )

@@ -72,6 +72,8 @@ def test_an_edge_is_one_word_or_a_table() -> None:
         ("plate", {"material": "cheese"}, "cheese.*glass, aluminium"),
         ("plate", {"material": ...}, "material is missing"),
         ("plate", {"young_gpa": 70}, "name and constants"),
+        ("plate", {"corner_radius_mm": 80}, "plate.corner_radius_mm: is more than half of the shorter side"),
+        ("plate", {"corner_radius_mm": 50}, "discs.receivers_mm.0: receiver 1, of 6 mm at .*, reaches over the edge"),
         ("plate", {"edge": "glued"}, "edge.*use one of free, pads"),
         ("plate", {"colour": "red"}, "plate.colour.*known keys: width_mm"),
         ("plate", {"height_mm": ...}, "plate.height_mm.*measure it"),

@@ -16,7 +16,8 @@ from touchd.frame import Plate
 from touchd.lab.plates.disc_functions import COUNT, DiscFunctions
 from touchd.twin.cache import remember
 from touchd.twin.physics import in_plane, legendre
-from touchd.twin.physics.material import material_of, stiffness_of
+from touchd.twin.physics.corners import inside
+from touchd.twin.physics.material import corner_radius_m, material_of, stiffness_of
 from touchd.twin.physics.plate import Modes, polynomials_for, size_m, solve
 from touchd.twin.physics.transducer import Layout, LoadedModes
 
@@ -133,9 +134,10 @@ def _patched(bending: Modes, beside: Modes, plate: Plate, layout: Layout, patche
 def _around(layout: Layout, plate: Plate) -> list[DiscFunctions]:
     """Return the functions around each disc, that overlap neither an edge nor each other."""
     centres, radius, found = layout.centres_mm * 1e-3, layout.diameter_mm * 0.5e-3, []
+    _, edges = inside(centres, np.array(size_m(plate)), corner_radius_m(plate))
     for k, centre in enumerate(centres):
         others = np.linalg.norm(np.delete(centres, k, axis=0) - centre, axis=1) / 2
-        reach = min(REACH * radius, *centre, *(np.array(size_m(plate)) - centre), *others)
+        reach = min(REACH * radius, edges[k], *others)
         found.append(DiscFunctions(centre[0], centre[1], radius, max(float(reach), 1.01 * radius)))
     return found
 

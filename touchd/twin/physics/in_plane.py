@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.frame import Plate
-from touchd.twin.physics import legendre
-from touchd.twin.physics.material import material_of
-from touchd.twin.physics.plate import LEAST_MARGIN, ClassModes, Modes, size_m
+from touchd.twin.physics import corners, legendre
+from touchd.twin.physics.material import corner_radius_m, material_of
+from touchd.twin.physics.plate import LEAST_MARGIN, ClassModes, Modes, modes_of, size_m
 
 Floats = NDArray[np.float64]
 
@@ -74,9 +74,15 @@ def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_
     mass = across_m2 * divergence.T @ divergence
     mass[np.diag_indices(len(mass))] += 1
     K[:of_u, of_u:] = K[of_u:, :of_u].T
-    inverse = np.linalg.inv(np.linalg.cholesky(mass))
-    squared, vectors = np.linalg.eigh(inverse @ K @ inverse.T)
-    vectors = inverse.T @ vectors
+    if radius_m := corner_radius_m(plate):
+        points = corners.pieces(radius_m, size_m(plate), counts)
+        a, b = corners.products(points, size_m(plate), counts, ((ux, uy), (vx, vy)))
+        K -= sum(row.T @ row for row in corners.in_plane_rows(a, b, (along_x, along_y, between, shear)))
+        thinner = np.hstack([a[1], b[2]])
+        mass -= across_m2 * thinner.T @ thinner
+        mass[:of_u, :of_u] -= a[0].T @ a[0]
+        mass[of_u:, of_u:] -= b[0].T @ b[0]
+    squared, vectors = modes_of(K, mass)
     omega = np.sqrt(np.maximum(squared, 0.0))
     if (px, py) != (1, 0):
         omega[0] = 0.0  # a rigid motion: along x or y, or a turn

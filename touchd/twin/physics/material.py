@@ -56,6 +56,12 @@ class ElasticPlate(Plate):
     """A plate with elastic constants of its own; `material` is only their name."""
 
     elastic: Material
+    corner_radius_mm: float = 0.0
+
+
+def corner_radius_m(plate: Plate) -> float:
+    """Return the radius of a plate's corners, 0 of sharp ones."""
+    return plate.corner_radius_mm * 1e-3 if isinstance(plate, ElasticPlate) else 0.0
 
 
 class Stiffness(NamedTuple):

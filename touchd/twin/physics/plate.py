@@ -7,6 +7,7 @@ natural boundary conditions of the strain energy, so nothing is imposed. The ene
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.twin.physics import legendre
-from touchd.twin.physics.material import material_of, mindlin_wavenumber, stiffness_of
+from touchd.twin.physics import corners, legendre
+from touchd.twin.physics.material import corner_radius_m, material_of, mindlin_wavenumber, stiffness_of
 
 Floats = NDArray[np.float64]
 
@@ -93,6 +94,19 @@ def solve(plate: Plate, counts: tuple[int, int], below_hz: float = np.inf) -> Mo
     return Modes(omega[order], *fields)
 
 
+def modes_of(stiffness: Floats, mass: Floats) -> tuple[Floats, Floats]:
+    """Return squares of angular frequencies (n,), and in columns modes of unit mass (n, n), of two matrices (n, n).
+
+    Raises
+    ------
+    LinAlgError
+        If the mass is not positive.
+    """
+    half = np.linalg.inv(np.linalg.cholesky(mass))
+    squares, vectors = np.linalg.eigh(half @ stiffness @ half.T)
+    return squares, half.T @ vectors
+
+
 def solve_classes(plate: Plate, counts: tuple[int, int], below_hz: float = np.inf) -> list[ClassModes]:
     """Solve for the modes, as `solve` does, parity by parity: of the deflection, even or odd along x and y."""
     return [_solve_class(plate, counts, px, py, below_hz) for px in (0, 1) for py in (0, 1)]
@@ -127,7 +141,21 @@ def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_
     # The mass matrix is diagonal, since the polynomials are orthonormal.
     scale = np.concatenate([np.full(sizes[0], s.mass), np.full(sizes[1] + sizes[2], s.rotary)]) ** -0.5
     K *= scale[:, None] * scale
-    squared, vectors = np.linalg.eigh(K, UPLO="L")
+    if radius_m := corner_radius_m(plate):
+        w, x, y = corners.products(corners.pieces(radius_m, size_m(plate), counts), size_m(plate), counts, places)
+        bent = corners.in_plane_rows(x, y, (Dx, Dy, between, twist))
+        none = np.zeros((len(w[0]), sizes[0]))
+        stiff = [np.hstack([none, each]) for each in bent]
+        stiff.append(np.sqrt(S) * np.hstack([w[1], x[0], np.zeros_like(y[0])]))
+        stiff.append(np.sqrt(S) * np.hstack([w[2], np.zeros_like(x[0]), y[0]]))
+        K -= sum((each * scale).T @ (each * scale) for each in stiff)
+        K = np.tril(K) + np.tril(K, -1).T
+        mass = np.eye(b3)
+        for each, (start, stop) in zip((w, x, y), pairwise((b0, b1, b2, b3)), strict=True):
+            mass[start:stop, start:stop] -= each[0].T @ each[0]
+        squared, vectors = modes_of(K, mass)
+    else:
+        squared, vectors = np.linalg.eigh(K, UPLO="L")
     omega = np.sqrt(np.maximum(squared, 0.0))
     if not (px and py):
         omega[0] = 0.0  # a rigid motion: up and down, or rocking about an axis; rounding leaves it some millihertz

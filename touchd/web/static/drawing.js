@@ -50,11 +50,11 @@ export function drawing(label) {
     shown = key;
     const width = plate.width_mm, height = plate.height_mm;
     if (!(drawable(width) && drawable(height) && width > 0 && height > 0)) { root.replaceChildren(); return; }
-    const large = Math.max(width, height);
+    const large = Math.max(width, height), radius = drawable(plate.corner_radius_mm) ? plate.corner_radius_mm : 0;
     const size = letters(width, height), edge = 2 * size;
     root.setAttribute('viewBox', `${-edge} ${-edge} ${width + 1.4 * edge} ${height + 1.4 * edge}`);
     const found = [
-      shape('rect', { class: 'glass', x: 0, y: 0, width, height, rx: 1 }),
+      shape('rect', { class: 'glass', x: 0, y: 0, width, height, rx: Math.max(radius, 1) }),
       shape('text', { class: 'length', x: width / 2, y: -size / 2, 'font-size': size }, texts.drawing.width(width)),
       shape('text', { class: 'length', x: -height / 2, y: -size / 2, 'font-size': size, transform: 'rotate(-90)' }, texts.drawing.height(height)),
     ];

@@ -71,6 +71,7 @@ export function measures(t, save) {
       input(`${name}.x`, t.x, x), input(`${name}.y`, t.y, y));
     fields.replaceChildren(
       ...['width_mm', 'height_mm', 'thickness_mm'].map(name => input(name, t[name], plate[name])),
+      input('corner_radius_mm', t.corner_radius_mm, plate.corner_radius_mm ?? 0),
       select('material', t.material, { ...materials, ...(kept.plate?.young_gpa && { '': t.constants }) }, plate.material ?? ''),
       select('sheet', t.sheet, t.sheets, plate.rolled ? 'rolled' : 'even'),
       select('edge', t.edge, { ...t.edges, each: t.each }, sides ? 'each' : plate.edge ?? 'free'),
@@ -90,7 +91,7 @@ export function measures(t, save) {
     const material = said.material ? { material: said.material, young_gpa: undefined, poisson: undefined, density_kg_m3: undefined } : {};
     return {
       ...kept,
-      plate: { ...kept.plate, width_mm: value('width_mm'), height_mm: value('height_mm'), thickness_mm: value('thickness_mm'), ...material, rolled: said.sheet === 'rolled', edge },
+      plate: { ...kept.plate, width_mm: value('width_mm'), height_mm: value('height_mm'), thickness_mm: value('thickness_mm'), corner_radius_mm: value('corner_radius_mm'), ...material, rolled: said.sheet === 'rolled', edge },
       discs: { ...kept.discs, diameter_mm: value('diameter_mm'), emitter_mm: place('emitter'), receivers_mm },
     };
   }

@@ -87,7 +87,7 @@ export const texts = {
     measures: {
       hint: 'Measure from the plate’s top left corner as you look at it: x to the right, y down, in millimetres.',
       drawing: 'The plate and its discs, to scale',
-      width_mm: 'Width, mm', height_mm: 'Height, mm', thickness_mm: 'Thickness, mm', material: 'Material', sheet: 'Sheet', edge: 'Edge',
+      width_mm: 'Width, mm', height_mm: 'Height, mm', thickness_mm: 'Thickness, mm', corner_radius_mm: 'Corner radius, mm (0: sharp)', material: 'Material', sheet: 'Sheet', edge: 'Edge',
       diameter_mm: 'Disc diameter, mm', emitter: 'Emitter, E', receiver: n => `Receiver ${n}`, x: 'x, mm', y: 'y, mm',
       materials: ['glass', 'pmma', 'aluminium', 'steel'], sheets: { even: 'alike along both sides', rolled: 'rolled' }, edges: { free: 'free', pads: 'pads', tape: 'tape', clamped: 'clamped' },
       each: 'each side its own', sides: { left: 'Left', right: 'Right', top: 'Top', bottom: 'Bottom' }, constants: 'by its constants',

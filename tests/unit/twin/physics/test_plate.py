@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.twin.physics import in_plane, material
+from touchd.twin.physics import corners, in_plane, material
 from touchd.twin.physics.legendre import derivative, disc_average, disc_moments, values
 from touchd.twin.physics.material import ElasticPlate, Material, mindlin_wavenumber, stiffness_of
 from touchd.twin.physics.plate import polynomials_for, solve
@@ -34,6 +36,81 @@ def test_a_thin_free_square_plate_has_the_known_frequencies(thin: list[float]) -
 
 def test_no_frequency_lies_above_the_published_upper_bounds(thin: list[float]) -> None:
     assert all(0.985 * bound < x < bound for x, bound in zip(thin, UPPER_BOUNDS, strict=False))
+
+
+FREE_CIRCLE = [5.2620, 5.2620, 9.0689, 12.2439, 12.2439, 20.5131, 20.5131, 21.5267, 21.5267]
+"""Roots of the frequency equation for nu = 0.33 (Itao and Crandall, J. Appl. Mech. 46, 1979, for the first)."""
+
+
+@pytest.mark.parametrize("count", [14, 20, 26])
+def test_a_square_of_corners_alone_is_a_free_circular_plate(count: int) -> None:
+    """With a radius of half the side the frequencies are those of theory, more polynomials leave them there."""
+    disc = ElasticPlate(
+        width_mm=1000, height_mm=1000, thickness_mm=1, elastic=Material(1e11, 0.33, 1000.0), corner_radius_mm=500
+    )
+    s = stiffness_of(disc)
+    omega = np.sort(solve(disc, (count, count)).omega_rad_s)[3:12]
+    np.testing.assert_allclose(omega * np.sqrt(s.mass / s.bending) * 0.5**2, FREE_CIRCLE, rtol=1e-4)
+
+
+def test_a_disc_of_corners_alone_stretches_as_theory_says() -> None:
+    """The lowest breathing mode in the plane has omega = 2.0489 c / a with c^2 = E / rho (1 - nu^2), for nu = 0.3."""
+    disc = ElasticPlate(
+        width_mm=1000, height_mm=1000, thickness_mm=1, elastic=Material(1e11, 0.3, 1000.0), corner_radius_mm=500
+    )
+    omega = np.concatenate([each.omega_rad_s for each in in_plane.solve_classes(disc, (20, 20))])
+    breathing = 2.0489 * np.sqrt(1e11 / 1000 / (1 - 0.3**2)) / 0.5
+    assert np.abs(omega / breathing - 1).min() < 1e-4
+
+
+@given(radius_m=st.floats(1e-4, 0.08), across=st.integers(0, 3), along=st.integers(0, 3))
+def test_what_lies_beyond_rounded_corners(radius_m: float, across: int, along: int) -> None:
+    """Its integral of powers of the ways to both sides has a closed form, and so has what a larger radius takes."""
+    size_m, counts = (0.2, 0.16), (12, 12)
+    # Of the square to the corner, less of the quarter of a disc: u = 1 - x, Euler's beta function.
+    exact = 1 / ((across + 1) * (along + 1)) - _quarter_disc(across, along)
+    for rule, factor in ((corners.pieces, 1), (corners.arcs, across + along + 2)):
+        points = rule(radius_m, size_m, counts)
+        found = (points.weights * (points.x_m / radius_m) ** across * (points.y_m / radius_m) ** along).sum()
+        assert found == pytest.approx(4 * (1 - corners.STAYS) * radius_m**2 * factor * exact, rel=1e-8)
+
+
+def _quarter_disc(across: int, along: int) -> float:
+    """The integral of (1 - u)^across (1 - v)^along over the quarter of the unit disc."""
+    return sum(
+        math.comb(across, i) * math.comb(along, k) * (-1.0) ** (i + k)
+        * math.gamma((i + 1) / 2) * math.gamma((k + 1) / 2) / math.gamma((i + k + 4) / 2) / 4
+        for i in range(across + 1)
+        for k in range(along + 1)
+    )  # fmt: skip
+
+
+lengths = st.floats(1.0, 300.0)
+
+
+@given(
+    size=st.tuples(lengths, lengths),
+    share=st.floats(0, 0.5),
+    away=st.tuples(*[st.floats(-1.5, 1.5)] * 2),
+    margin_share=st.floats(0, 0.4),
+)
+def test_places_beyond_the_edge_are_moved_onto_the_plate(
+    size: tuple[float, float], share: float, away: tuple[float, float], margin_share: float
+) -> None:
+    """Those on the plate stay; the others come to lie at the margin, and no place is nearer to the edge than that."""
+    sides, radius, margin = np.array(size), share * min(size), margin_share * min(size)
+    place = (sides / 2 * (1 + np.array(away)))[None]
+    moved, way = corners.inside(place, sides, radius, margin)
+    again, same = corners.inside(moved, sides, radius, margin)
+    assert np.all(moved >= margin - 1e-9 * sides)
+    assert np.all(moved <= sides - margin + 1e-9 * sides)
+    np.testing.assert_allclose(again, moved, atol=1e-9 * max(size))
+    np.testing.assert_allclose(same, way, atol=1e-9 * max(size))
+    if way[0] > 1e-9 * max(size):
+        np.testing.assert_allclose(moved, place, atol=1e-12 * max(size))
+    from_arcs = np.abs(moved[0] - sides / 2) - (sides / 2 - max(radius, margin))
+    if np.all(from_arcs > 0):
+        assert np.hypot(*from_arcs) <= max(radius - margin, 0.0) + 1e-9 * max(size)
 
 
 def test_a_plate_turned_by_90_degrees_sounds_the_same() -> None:
