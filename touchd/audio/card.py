@@ -68,7 +68,4 @@ def loop_of(chirp: Chirp, rate_hz: float, period: int, level_dbfs: float) -> Flo
 def moved(loop: Floats, samples: float) -> Floats:
     """Return periodic signals, (..., period), later by a number of samples, whole or not."""
     turns = np.fft.rfftfreq(loop.shape[-1]) * samples
-    spectrum = np.fft.rfft(loop) * np.exp(-2j * np.pi * turns)
-    if loop.shape[-1] % 2 == 0:
-        spectrum[..., -1] = spectrum[..., -1].real
-    return np.asarray(np.fft.irfft(spectrum, loop.shape[-1]))
+    return np.asarray(np.fft.irfft(np.fft.rfft(loop) * np.exp(-2j * np.pi * turns), loop.shape[-1]))

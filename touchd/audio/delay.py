@@ -225,6 +225,4 @@ def _refine(
 def _slope(signal: Floats) -> Floats:
     """Return the derivative by time, per sample."""
     turns = 2j * np.pi * np.fft.rfftfreq(signal.shape[1])
-    if signal.shape[1] % 2 == 0:
-        turns[-1] = 0.0
     return np.asarray(np.fft.irfft(np.fft.rfft(signal) * turns, signal.shape[1]))

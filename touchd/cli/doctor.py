@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -43,16 +44,7 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 @click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line, as each check ends.")
 @config_option
 def command(
-    replay: Path | None,
-    simulate: str | None,
-    ni: bool,
-    audio: str | None,
-    seed: int,
-    seconds: float,
-    reference: Path | None,
-    as_json: bool,
-    as_lines: bool,
-    config: Path | None,
+    seconds: float, reference: Path | None, as_json: bool, as_lines: bool, config: Path | None, **source: Any
 ) -> None:
     """Check all that the daemon opens, the DAQ, its frames and the computer, a line for each check.
 
@@ -60,7 +52,7 @@ def command(
     read the DAQ. Do not touch the plate meanwhile. A warning and a failure name a remedy.
     """
     settings = load(config)
-    choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni, audio=audio)
+    choice = SourceChoice(**source, speed=float("inf"))
     configure(settings.log.model_copy(update={"level": "error"}))
     findings = []
     for finding in _examine(settings, choice, seconds, reference):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import sys
 from collections.abc import Iterable, Iterator
 from datetime import datetime
@@ -13,6 +12,7 @@ from pathlib import Path
 import click
 
 from touchd.cli.options import PATH, NumberRange
+from touchd.cli.output import discard
 from touchd.client import Subscriber
 from touchd.errors import BusTimeout
 from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent, TruthEvent, encode
@@ -99,8 +99,7 @@ def _ending_quietly() -> Iterator[None]:
     except KeyboardInterrupt:
         pass
     except BrokenPipeError:
-        # Discard the buffer: flushing it at exit would fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard(sys.stdout)
 
 
 def describe(event: Event) -> Iterator[str]:

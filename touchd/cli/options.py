@@ -51,10 +51,16 @@ bus_option = click.option(
 )  # fmt: skip
 
 
-def check_plate(plate: Plate) -> Plate:
-    """Raise BadParameter if a length is no plate's."""
-    from touchd.frame import impossible_lengths
+def plate_of(text: str, said: str, lengths: int = 2) -> Plate:
+    """Return the plate of an option's text, of `lengths` or more; raise BadParameter, `said` if they cannot be read."""
+    from touchd.frame import impossible_lengths, parse_plate
 
+    try:
+        if text.lower().count("x") < lengths - 1:
+            raise ValueError
+        plate = parse_plate(text)
+    except ValueError:
+        raise click.BadParameter(said) from None
     for _key, what in impossible_lengths(*plate.size_mm, plate.thickness_mm):
         raise click.BadParameter(f"{what}; write every length in millimetres")
     return plate

@@ -15,11 +15,11 @@ from typing import Any
 import click
 
 from touchd.calibration.walk import Walk, plan
-from touchd.cli.options import PATH, NumberRange, check_plate, chosen, config_option, source_options
+from touchd.cli.options import PATH, NumberRange, chosen, config_option, plate_of, source_options
 from touchd.cli.output import say
 from touchd.config.load import load
 from touchd.errors import ConfigError, OutputError, SourceError
-from touchd.frame import Frame, Plate, parse_plate
+from touchd.frame import Frame, Plate
 from touchd.recording.data import Device, Meta, Recording
 from touchd.service.frame_feed import DaemonSource, open_running, rate_of
 from touchd.service.runner import frames_of
@@ -42,11 +42,8 @@ BY_HAND = (
 
 def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Plate | None:
     """Parse `400x300` or `400x300x5` into a plate."""
-    try:
-        plate = None if value is None else parse_plate(value)
-    except ValueError:
-        raise click.BadParameter("write WIDTHxHEIGHT or WIDTHxHEIGHTxTHICKNESS in mm, for example 400x300x5") from None
-    return plate and check_plate(plate)
+    said = "write WIDTHxHEIGHT or WIDTHxHEIGHTxTHICKNESS in mm, for example 400x300x5"
+    return None if value is None else plate_of(value, said)
 
 
 def _notes(_ctx: click.Context, _param: click.Parameter, value: str) -> str:

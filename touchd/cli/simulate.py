@@ -11,10 +11,10 @@ from typing import Any
 
 import click
 
-from touchd.cli.options import PATH, Number, NumberRange, check_plate
+from touchd.cli.options import PATH, Number, NumberRange, plate_of
 from touchd.config.schema import LogSettings
 from touchd.files import check_output
-from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate
+from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition
 from touchd.keypad import load_layout
 from touchd.recording import format as recording
 from touchd.service.log import configure
@@ -34,13 +34,7 @@ _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.i
 
 def _plate(_ctx: click.Context, _param: click.Parameter, value: str) -> Plate:
     """Parse WIDTHxHEIGHTxTHICKNESS."""
-    try:
-        if value.lower().count("x") != 2:
-            raise ValueError
-        plate = parse_plate(value)
-    except ValueError:
-        raise click.BadParameter("three lengths in mm such as 200x200x5") from None
-    return check_plate(plate)
+    return plate_of(value, "three lengths in mm such as 200x200x5", lengths=3)
 
 
 def _acquisition(_ctx: click.Context, _param: click.Parameter, value: str) -> Acquisition:

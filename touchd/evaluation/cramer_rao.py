@@ -67,10 +67,7 @@ class TouchField:
 def twin_field(instrument: Instrument, contacts: Sequence[Contact], taper: float = HANN) -> TouchField:
     """Simulate the true field of single contacts, without noise, at the twin's reference temperature.
 
-    Raises
-    ------
-    SimulationError
-        A contact, moved by `STEP_MM`, reaches over the edge.
+    Raises SimulationError if a contact, moved by `STEP_MM`, reaches over the edge.
     """
     moved = [c._replace(x_mm=c.x_mm + dx, y_mm=c.y_mm + dy) for dx, dy in _MOVES_MM.tolist() for c in contacts]
     return _with_slopes(twin_values(instrument, moved, taper), band_bins(instrument.acquisition), taper)
@@ -166,13 +163,8 @@ def recorded_field(recording: Recording, field: Atlas | Instrument, taper: float
     """Return the field of up to `MOST_TOUCHES` touches, spread evenly over a labelled recording.
 
     Each touch gets the amplitude that fits its frame best. `taper` is that of the bins' window; an atlas has its own.
-
-    Raises
-    ------
-    TrainingError
-        The recording lacks labels, touches or untouched frames.
-    SimulationError
-        A touch reaches over the edge.
+    Raises TrainingError if the recording lacks labels, touches or untouched frames; SimulationError if a touch reaches
+    over the edge.
     """
     position_mm, touched, untouched = labels(recording, least=1)
     some = np.unique(np.linspace(0, len(touched) - 1, min(MOST_TOUCHES, len(touched))).round().astype(int))
@@ -192,10 +184,8 @@ def recorded_field(recording: Recording, field: Atlas | Instrument, taper: float
 def residual_noise(recording: Recording) -> float:
     """Return the noise deviation of a residual's sample, ADC counts: one frame less the mean of two.
 
-    Raises
-    ------
-    TrainingError
-        The recording lacks labels, touches or untouched frames, or has no noise: one untouched frame tells none.
+    Raises TrainingError if the recording lacks labels, touches or untouched frames, or has no noise: one untouched
+    frame tells none.
     """
     noise = noise_of(recording.frames[labels(recording, least=1)[2]], recording.acquisition)
     if not noise > 0:

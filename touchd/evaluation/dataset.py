@@ -79,10 +79,7 @@ def split(count: int, seed: int) -> Split:
 def thin(parts: Split, share: float) -> Split:
     """Keep this share of the training part; a larger share contains every smaller one.
 
-    Raises
-    ------
-    TrainingError
-        The share is outside (0, 1], or leaves no touch.
+    Raises TrainingError if the share is outside (0, 1], or leaves no touch.
     """
     count = round(share * len(parts.train)) if 0 < share <= 1 else 0
     if not count:
@@ -102,11 +99,8 @@ def make_dataset(
 ) -> Dataset:
     """Compute the features of all single touches of a labelled recording.
 
-    Raises
-    ------
-    TrainingError
-        The recording has no labels, fewer than `least` touches, no untouched frame, or a touch outside the plate; or
-        no bin of its frames lies within the chirp's band.
+    Raises TrainingError if the recording has no labels, fewer than `least` touches, no untouched frame, or a touch
+    outside the plate; or no bin of its frames lies within the chirp's band.
     """
     position_mm, touched, untouched = labels(recording, least)
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
@@ -173,10 +167,7 @@ def baseline_frames(
 def labels(recording: Recording, least: int = MIN_TOUCHES) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """Return the positions (n, 2) of single touches, their frames (n,), and the untouched frames (m,).
 
-    Raises
-    ------
-    TrainingError
-        See `make_dataset`.
+    Raises TrainingError as `make_dataset` does.
     """
     truth = recording.contacts_mm
     if truth is None:

@@ -23,12 +23,8 @@ LONG = 1.25
 def position_scores(error_mm: ArrayLike) -> dict[str, float]:
     """Return the statistics of n position errors of shape (n, 2), mm.
 
-    `rmse_mm` is sqrt(mean ||error||^2) (Bahrami et al. 2022); the others are statistics of ||error||.
-
-    Raises
-    ------
-    ValueError
-        n is 0.
+    `rmse_mm` is sqrt(mean ||error||^2) (Bahrami et al. 2022); the others are statistics of ||error||. Raises ValueError
+    if n is 0.
     """
     distance_mm = np.linalg.norm(np.asarray(error_mm, float).reshape(-1, 2), axis=1)
     if not len(distance_mm):

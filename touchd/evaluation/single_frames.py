@@ -79,10 +79,8 @@ class TouchedFrames:
 def touched_frames(recording: Recording) -> TouchedFrames:
     """Collect the touched frames of a labelled recording and the untouched frames beside each.
 
-    Raises
-    ------
-    RecordingValues
-        The recording lacks touched or untouched frames, or a true position lies outside the plate.
+    Raises RecordingValues if the recording lacks touched or untouched frames, or a true position lies outside the
+    plate.
     """
     truth = recording.contacts_mm
     assert truth is not None  # checked by the caller

@@ -46,17 +46,9 @@ def run(
     `dask` is the address of a Dask scheduler, such as "tcp://127.0.0.1:8786", whose workers run the jobs instead.
     `cache` is the folder that keeps results, by default none: a kept one is used if function, arguments, shared
     objects, source code and libraries are the same. `shared` are large objects by name, sent to each worker once.
-
-    Raises
-    ------
-    TouchdError
-        A job's own. Jobs that run beside it finish first, and are kept.
-    JobError
-        When a job raises another exception, or its worker dies.
-    ClusterError
-        When the cluster cannot be reached or used.
-    OutputError
-        When another user could have written the results in `cache`.
+    Raises a job's own TouchdError, after those that run beside it have finished and are kept; JobError if a job raises
+    another exception, or its worker dies; ClusterError if the cluster cannot be reached or used; OutputError if another
+    user could have written the results in `cache`.
     """
     if len({job.name for job in jobs}) < len(jobs):
         raise ValueError("two jobs have the same name")

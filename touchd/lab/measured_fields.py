@@ -88,13 +88,7 @@ class WaveField:
 
 
 def read_field(path: Path) -> WaveField:
-    """Read the wave field of one file of the repository.
-
-    Raises
-    ------
-    RecordingError
-        If the file holds no such field.
-    """
+    """Read the wave field of one file of the repository; raise RecordingError if the file holds no such field."""
     import h5py  # only these files are HDF5
 
     try:

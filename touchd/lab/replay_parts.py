@@ -68,12 +68,7 @@ def score(
     """Replay a labelled recording through the pipeline, and score it.
 
     A run that is stopped leaves the parts that have ended, and the next one of the same recording, model and settings
-    goes on from there.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be used, or has no labels.
+    goes on from there. Raises RecordingError if it cannot be used, or has no labels.
     """
     chosen, model = settings.model_dump(mode="json"), model_path(settings)
     parts = plan(path, part_frames)

@@ -25,11 +25,8 @@ class Reconnect:
     ) -> None:
         self._socket, self._addresses, self._clock = socket, addresses, clock
         self._due_s: float | None = None
-        endpoint = f"inproc://refusals-{id(socket)}"
-        socket.monitor(endpoint, _REFUSED)
-        self._monitor = socket.context.socket(zmq.PAIR)
+        self._monitor = socket.get_monitor_socket(_REFUSED)
         self._monitor.setsockopt(zmq.LINGER, 0)
-        self._monitor.connect(endpoint)
 
     def look(self) -> None:
         """Connect again if it is time; call it now and then while nothing comes."""

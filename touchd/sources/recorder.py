@@ -33,18 +33,12 @@ def describe(
     notes: str = "",
 ) -> Meta:
     """Return the description of a recording that begins now."""
+    said = acquisition.model_dump(exclude={"channels", "samples"})  # the frames say these
+    created = datetime.now(UTC).isoformat(timespec="seconds")
     return Meta(
-        sample_rate_hz=acquisition.sample_rate_hz,
-        bits=acquisition.bits,
-        full_scale_v=acquisition.full_scale_v,
-        chirp=acquisition.chirp,
-        frame_rate_hz=frame_rate_hz,
-        plate=plate,
-        source=source,
-        device=device or Device(),
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        **said, frame_rate_hz=frame_rate_hz, plate=plate, source=source, device=device or Device(), created=created,
         notes=notes,
-    )
+    )  # fmt: skip
 
 
 def describe_source(source: Source, plate: Plate, frame_rate_hz: float, kind: str, notes: str = "") -> Meta:

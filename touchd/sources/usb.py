@@ -128,10 +128,13 @@ class UsbDevice:
 
 def candidates(settings: DeviceSettings, backend: Any) -> Iterator[Callable[[], Daq]]:
     """Yield calls that open a device with the ids, one for each device; see `Candidates`."""
-    found = False
-    for device in _devices(settings, backend):
-        found = True
-        yield partial(_open_daq, device, settings)
+    found, ids = False, {"idVendor": settings.vendor_id, "idProduct": settings.product_id}
+    try:
+        for device in usb.core.find(find_all=True, backend=backend, **ids):
+            found = True
+            yield partial(_open_daq, device, settings)
+    except usb.core.USBError as error:
+        raise DaqAbsent(f"devices cannot be listed ({_name(error)})") from error
     if not found:
         yield partial(_refuse, f"no DAQ with the ids {_ids(settings)} is plugged in")
 
@@ -207,16 +210,6 @@ def serial_of(device: Any) -> str:
         return device.serial_number or ""
     except (usb.core.USBError, ValueError, NotImplementedError):
         return ""
-
-
-def _devices(settings: DeviceSettings, backend: Any) -> Iterator[Any]:
-    found: Iterator[Any] = usb.core.find(
-        find_all=True, idVendor=settings.vendor_id, idProduct=settings.product_id, backend=backend
-    )
-    try:
-        yield from found
-    except usb.core.USBError as error:
-        raise DaqAbsent(f"devices cannot be listed ({_name(error)})") from error
 
 
 def _interface(device: Any) -> tuple[int, Any] | None:

@@ -10,7 +10,6 @@ import pytest
 from touchd.event import Contact, KeyEvent, Phase, TouchEvent
 from touchd.sinks.stream import Stream
 
-SECOND_NS = 1_000_000_000
 HOUR_S = 3600.0
 START = datetime(2026, 1, 1, tzinfo=UTC)
 

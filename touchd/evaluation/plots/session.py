@@ -22,10 +22,7 @@ COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#e28413", "#6a4c93", "#2f4858", "#8
 def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> None:
     """Plot true touches and published contacts on the plate, and x and y over time.
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Raises OutputError if the file cannot be written.
     """
     figure = Figure(figsize=(10.5, 5.0), layout="constrained")
     plate_axes = figure.add_subplot(1, 2, 1)
@@ -82,13 +79,7 @@ def draw_transducers(meta: Meta, axes: Axes, colour: str = "black") -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or SVG, by its name.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write a figure as PNG or SVG, by its name; raise OutputError if the file cannot be written."""
     kind = path.suffix.removeprefix(".") or "png"
     with replacing(path, fix="name a .png in an existing folder") as file:
         figure.savefig(file, format=kind, dpi=110, metadata={"Software": None} if kind == "png" else None)

@@ -36,25 +36,6 @@ Found = tuple[dict[str, Any], dict[int, int]]
 """Fields of a `DaemonResult`, timed to the decision; and when each counted frame was complete, ns, by its number."""
 
 
-class Clocked(PreRoll):
-    """The pre-roll, which receives each frame last; it also records times."""
-
-    def start_clock(self, most_frames: int) -> None:
-        """Reserve memory, filled with ones so that the kernel maps it before the run."""
-        self.received_ns = np.ones(most_frames, np.int64)
-        self.done_ns = np.ones(most_frames, np.int64)
-        self.count = 0
-
-    def keep(self, frame: Frame, contacts: Sequence[Contact]) -> None:
-        """Store when the frame was complete and when its messages were handed over, then keep the frame."""
-        now_ns = time.monotonic_ns()
-        i = frame.sequence
-        if i < len(self.done_ns):
-            self.received_ns[i], self.done_ns[i] = frame.received_ns, now_ns
-            self.count = i + 1
-        super().keep(frame, contacts)
-
-
 def main(connection: Connection, *arguments: Any) -> None:
     """Send what `run` found, or the text of the error."""
     try:
@@ -102,8 +83,22 @@ def run(
     source = LoopSource(loop, rate_hz or inf, seconds, burst, begun)
     bus = ZeromqSink(settings.bus)
     meta = describe(source.acquisition, model.description.plate, rate_hz or 125.0, source="benchmark", device=None)
-    preroll = Clocked(rate_hz or 125.0, lambda: meta, settings.preroll)
-    preroll.start_clock(source.lead + round(seconds * (rate_hz or 200_000)) + 1)
+    preroll = PreRoll(rate_hz or 125.0, lambda: meta, settings.preroll)
+    # Filled, so that the kernel maps the memory before the run.
+    received_ns, done_ns = np.ones((2, source.lead + round(seconds * (rate_hz or 200_000)) + 1), np.int64)
+    count, keep = 0, preroll.keep
+
+    def clocked(frame: Frame, contacts: Sequence[Contact]) -> None:
+        """Note when the frame was complete and when its messages were handed over: the pre-roll has each frame last."""
+        nonlocal count
+        now_ns = time.monotonic_ns()
+        i = frame.sequence
+        if i < len(done_ns):
+            received_ns[i], done_ns[i] = frame.received_ns, now_ns
+            count = i + 1
+        keep(frame, contacts)
+
+    preroll.keep = clocked  # type: ignore[method-assign]
     service = Service(source, [bus], settings, make_pipeline(source, settings, model), preroll=preroll)
     realtime.freeze()
     ready_ns = time.monotonic_ns()
@@ -115,14 +110,14 @@ def run(
     preroll.close()
     if bare is None:
         watch.time(_warm(bare_path), BARE_RUNS)
-    first_ns = preroll.received_ns[source.lead] + BURN_IN_S * 1e9
-    counted = source.lead + np.flatnonzero(preroll.received_ns[source.lead : preroll.count] >= first_ns)
+    first_ns = received_ns[source.lead] + BURN_IN_S * 1e9
+    counted = source.lead + np.flatnonzero(received_ns[source.lead : count] >= first_ns)
     if not len(counted):
         raise JobError("the daemon took no frames", "benchmark", "allow it more time")
-    handed = spread((preroll.done_ns[counted] - preroll.received_ns[counted]) * 1e-3)
+    handed = spread((done_ns[counted] - received_ns[counted]) * 1e-3)
     pauses_us = np.diff(collector_ns)[::2] * 1e-3
     # Without the lead-in, and without the bare runs.
-    frames, cpu_s, wall_s = preroll.count - source.lead, cpu_s - bare_cpu_s, wall_s - source.apart_ns * 1e-9
+    frames, cpu_s, wall_s = count - source.lead, cpu_s - bare_cpu_s, wall_s - source.apart_ns * 1e-9
     counts = {name: count - at_start.get(name, 0) for name, count in _counted(service.pipeline.counters).items()}
     taken, lost, inferred = (counts.pop(name) for name in ("frames", "lost", "inferred"))
     found = percentiles(handed) | {
@@ -134,7 +129,7 @@ def run(
         "skipped": {why: count / taken for why, count in counts.items() if count},
         "inferred": inferred / taken, "start_s": (ready_ns - begun_ns) * 1e-9,
     }  # fmt: skip
-    return found, dict(zip(counted.tolist(), preroll.received_ns[counted].tolist(), strict=True))
+    return found, dict(zip(counted.tolist(), received_ns[counted].tolist(), strict=True))
 
 
 def _counted(counters: Counters) -> dict[str, float]:

@@ -49,12 +49,7 @@ def measure(
 
     With `apart` the subscriber has its own processor at a steady rate too; at full speed it always has. With `awake`
     the processors are kept awake while the plate is touched, as is the default at high rates. The sockets are in
-    `folder`.
-
-    Raises
-    ------
-    JobError
-        The daemon fails.
+    `folder`. Raises JobError if the daemon fails.
     """
     address = f"ipc://{folder}/bus"
     # At full speed the subscriber may fall behind; a large high-water mark prevents losses.
@@ -133,11 +128,7 @@ def measure_bus(rate_hz: float, seconds: float, folder: Path, *, apart: bool = F
     """Return the latency of messages between two processes, us: on one processor, or on two if `apart`.
 
     One process sends the time at a steady rate, this one receives it. The delay is due to ZeroMQ, kernel and computer.
-
-    Raises
-    ------
-    JobError
-        No message arrived.
+    Raises JobError if no message arrived.
     """
     address, cpus = f"ipc://{folder}/bare-bus", daemon_cpus()
     took_us: list[float] = []

@@ -67,13 +67,7 @@ class LoopSource(Source):
         """Time spent in `between`."""
 
     def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the next frame is due before any timeout
-        """Return the next frame when it is due.
-
-        Raises
-        ------
-        EndOfStream
-            The duration is over.
-        """
+        """Return the next frame when it is due; raise EndOfStream once the duration is over."""
         number, now_ns = self._number, time.monotonic_ns()
         if not self._open:
             raise EndOfStream

@@ -57,16 +57,9 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     """Measure estimators, daemon and skips; `quick` in about 20 s: fewer touches, the daemon at full speed only.
 
     `models` is the folder of the networks, of which the default one may have an atlas beside it; or one model of the
-    example plate, by its own acquisition. `also` are further networks for the example rig.
-
-    Raises
-    ------
-    ModelMissing
-        A network's file does not exist.
-    ModelMismatch
-        A network of `also` expects another acquisition.
-    JobError
-        The daemon fails.
+    example plate, by its own acquisition. `also` are further networks for the example rig. Raises ModelMissing if a
+    network's file does not exist; ModelMismatch if a network of `also` expects another acquisition; JobError if the
+    daemon fails.
     """
     scale = QUICK if quick else Scale()
     begun_s = time.monotonic()

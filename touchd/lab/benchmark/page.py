@@ -28,13 +28,7 @@ VARIANTS = ("grid10", "keypad", "time")
 
 
 def write(run: Run, folder: Path) -> None:
-    """Write page, plot and results into `folder`.
-
-    Raises
-    ------
-    OutputError
-        A file cannot be written.
-    """
+    """Write page, plot and results into `folder`; raise OutputError if a file cannot be written."""
     with writing(folder / PICTURES):
         (folder / PICTURES).mkdir(exist_ok=True)
     save(draw_errors(run), folder / PICTURES / "errors.png")

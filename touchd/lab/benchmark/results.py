@@ -222,13 +222,7 @@ class Run(_Part):
 
 
 def load(path: Path) -> Run:
-    """Read a stored run.
-
-    Raises
-    ------
-    ConfigError
-        The file is no stored run.
-    """
+    """Read a stored run; raise ConfigError if the file is no stored run."""
     try:
         return Run.model_validate_json(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
@@ -237,12 +231,6 @@ def load(path: Path) -> Run:
 
 
 def store(run: Run, path: Path) -> None:
-    """Write a run as JSON.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write a run as JSON; raise OutputError if the file cannot be written."""
     with replacing(path) as file:
         file.write(run.model_dump_json(indent=1).encode() + b"\n")

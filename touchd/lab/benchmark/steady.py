@@ -85,10 +85,7 @@ def measure(
 ) -> Cells:  # fmt: skip
     """Return medians by cell, then by tree (`here`, `against`), and the ratio of the trees' pairs; each turn runs both.
 
-    Raises
-    ------
-    JobError
-        A daemon fails.
+    Raises JobError if a daemon fails.
     """
     trees = {"here": _HERE, **({"against": against.resolve()} if against else {})}
     found: Cells = {}

@@ -107,17 +107,6 @@ class Device:
         self._rate_hz = 0
 
 
-class Handed(PreRoll):
-    """The pre-roll, which has each frame last: it notes when."""
-
-    done: list[tuple[int, int, int]]
-
-    def keep(self, frame: Any, contacts: Any) -> None:
-        """Note number, arrival and now; then keep the frame."""
-        self.done.append((frame.sequence, frame.received_ns, time.monotonic_ns()))
-        super().keep(frame, contacts)
-
-
 def calls_of_frames() -> Iterator[dict[str, float] | None]:
     """Count at each step what the frame before it has called in this thread; the medians come last."""
     found: list[tuple[int, int]] = []
@@ -193,10 +182,10 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     meta = describe(source.acquisition, model.description.plate, settings.device.rate_hz, source="bench", device=None)
     kept: tuple[Any, ...] = (settings.device.rate_hz, lambda: meta, settings.preroll)
     try:
-        preroll = Handed(*kept)
+        preroll = PreRoll(*kept)
     except TypeError:  # a tree of before
-        preroll = Handed(source.acquisition, *kept)  # type: ignore[arg-type]  # its pre-roll took the geometry first
-    preroll.done = []
+        preroll = PreRoll(source.acquisition, *kept)  # type: ignore[arg-type]  # its pre-roll took the geometry first
+    done: list[tuple[int, int, int]] = []  # number, arrival, and when the pre-roll had it, which is last
     stages = {stage: [0, 0] for stage in STAGES}
     service = Service(source, [bus], settings, make_pipeline(source, settings, model), preroll=preroll)
     if task["stages"]:
@@ -223,7 +212,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
         usage = resource.getrusage(resource.RUSAGE_SELF)
         return {
             "cpu_s": time.process_time() - device.own_cpu_s, "wall_s": time.monotonic(), "switches": switches(),
-            "faults": usage.ru_minflt, "frames": len(preroll.done), "stages": {k: [*v] for k, v in stages.items()},
+            "faults": usage.ru_minflt, "frames": len(done), "stages": {k: [*v] for k, v in stages.items()},
             "energy_uj": energy_uj(),
         }  # fmt: skip
 
@@ -234,6 +223,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     device.go.set()
 
     def watched(frame: Any, contacts: Any) -> None:
+        done.append((frame.sequence, frame.received_ns, time.monotonic_ns()))
         keep(frame, contacts)
         now_s = clock()
         if not begin and now_s - since_s >= task["warm_s"]:
@@ -248,7 +238,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
 
     preroll.keep = watched  # type: ignore[method-assign]
     service.run()
-    found = _result(begin, ended, preroll.done, device.due_ns)
+    found = _result(begin, ended, done, device.due_ns)
     for process in counting:
         process.send_signal(signal.SIGINT)
         found["events"] = process.communicate()[1]

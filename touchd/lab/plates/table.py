@@ -19,6 +19,7 @@ from touchd.calibration.place_correction import widths_of
 from touchd.calibration.soft_face import for_fingers
 from touchd.calibration.taps import Taps, refine, taps_of
 from touchd.errors import TouchdError
+from touchd.evaluation.matching import match_frames
 from touchd.evaluation.single_frames import TouchedFrames, find_with, see, touched_frames
 from touchd.lab.arguments import within
 from touchd.lab.plates.cases import CASES, Made, make
@@ -47,22 +48,18 @@ def scores(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> dict[str
     `less_scale` are the errors without the factor that all places share: the ruler's, which no untouched plate tells.
     `within_sigma` and `within_2_sigma` are the shares of those, per axis, that the standard errors claim.
     """
-    seen = see(find_with(model, atlas, frames), frames)
-    true = np.array([each.true_mm[0] for each in seen])
-    found, sigma_mm = np.full(true.shape, np.inf), np.full((len(true), 1), np.inf)
-    for i, (x, y) in enumerate(true):
-        near = min(seen[i].found, key=lambda t: np.hypot(t.x_mm - x, t.y_mm - y), default=None)
-        if near:
-            found[i], sigma_mm[i] = (near.x_mm, near.y_mm), near.sigma_mm
+    matches = match_frames(see(find_with(model, atlas, frames), frames), reach_mm=np.inf)
+    true, placed = frames.true_mm[:, 0].astype(float), matches.matched > 0
+    found = np.full(true.shape, np.inf)
+    found[placed] = matches.judged.position_mm
     error_mm = np.hypot(*(found - true).T)
     near_by = error_mm < 1
     scale = float((found[near_by] * true[near_by]).sum() / (true[near_by] ** 2).sum())
     less_mm = np.hypot(*(found / scale - true).T)
-    placed = np.isfinite(sigma_mm[:, 0])
-    sigmas = np.abs(found[placed] / scale - true[placed]) / sigma_mm[placed]
+    sigmas = np.abs(found[placed] / scale - true[placed]) / matches.judged.sigma_mm[:, None]
     return {
         "median": float(np.median(error_mm)), "p95": float(np.quantile(error_mm, 0.95, method="higher")),
-        "within_1": float(np.mean(near_by)), "count_right": float(np.mean([len(each.found) == 1 for each in seen])),
+        "within_1": float(np.mean(near_by)), "count_right": float(np.mean(matches.contacts == 1)),
         "less_scale": float(np.median(less_mm)),
         "less_scale_p95": float(np.quantile(less_mm, 0.95, method="higher")),
         "within_sigma": float(np.mean(sigmas < 1)), "within_2_sigma": float(np.mean(sigmas < 2)),

@@ -19,13 +19,7 @@ PAPER = "black"
 
 
 def draw(results: Results, folder: Path) -> None:
-    """Write all plots of a report into a folder.
-
-    Raises
-    ------
-    OutputError
-        A plot cannot be written.
-    """
+    """Write all plots of a report into a folder; raise OutputError if a plot cannot be written."""
     save(_heads(results), folder / "heads.png")
     save(_keypad(results), folder / "keypad.png")
     save(_learning(results), folder / "learning.png")

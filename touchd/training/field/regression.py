@@ -97,6 +97,12 @@ class Kernel:
         return found
 
 
+_kernel = lru_cache(maxsize=32)(Kernel)
+"""The same few are used again and again, and of few touches the tables took half the time."""
+_linear_algebra = cache(ThreadpoolController)
+"""Finds the libraries that this module has loaded, which takes 2 ms: as long as a bin of few touches."""
+
+
 def distances(one_mm: Floats, other_mm: Floats) -> Array:
     """Return the distances (n, m) between positions (n, 2) and (m, 2), mm."""
     return cdist(one_mm, other_mm).astype(np.float32)
@@ -204,12 +210,6 @@ class Regression:
         return system
 
 
-@lru_cache(maxsize=32)
-def _kernel(wavenumber_per_mm: float, reach_mm: float, white_share: float) -> Kernel:
-    """Return a kernel: the same few are used again and again, and of few touches the tables took half the time."""
-    return Kernel(wavenumber_per_mm, reach_mm, white_share)
-
-
 def weigh(inverse: Array, targets: Array) -> Array:
     """Return the weights (n, 2 * channels) that an inverse, lower triangle, gives to targets."""
     return np.ascontiguousarray(blas.ssymm(1.0, inverse, targets, lower=1))
@@ -218,12 +218,6 @@ def weigh(inverse: Array, targets: Array) -> Array:
 def smooth(inverse: Array, penalty: Array, targets: Array) -> Array:
     """Return the field (n, 2 * channels) at the touches' positions, for targets and an inverse's weights."""
     return np.asarray(targets - penalty[:, None] * weigh(inverse, targets))
-
-
-@cache
-def _linear_algebra() -> ThreadpoolController:
-    """Find the libraries that this module has loaded, which takes 2 ms: as long as a bin of few touches."""
-    return ThreadpoolController()
 
 
 def each(work: Callable[[int], T], bins: Iterable[int], advance: Callable[[], None] = lambda: None) -> list[T]:
