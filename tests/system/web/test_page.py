@@ -303,7 +303,7 @@ def test_calibrate_without_frames(browser: Browser, tmp_path: Path) -> None:
 
 def test_keypad(browser: Browser, tmp_path: Path) -> None:
     """A keypad's keys are drawn, like all that the plate has; its touches are not. Asked for by name they are, with a
-    session alone."""
+    session alone: without one, the page says which address to open."""
     where = f"ipc://{tmp_path}/bus"
     with (
         bus(where, "keypad"),
@@ -321,7 +321,14 @@ def test_keypad(browser: Browser, tmp_path: Path) -> None:
             assert min(painted.values()) > 300, painted
         with page(browser, open_server.url) as opened:
             expect(opened.locator(".fingers tbody tr")).to_have_count(5)
-        with page(browser, open_server.base) as stranger:
+        with page(browser, f"{open_server.base}#token=of-the-start-before") as stranger:
+            expect(stranger.locator(STATUS)).to_have_text("No access")
+            expect(stranger.locator(REASON)).to_contain_text("open the address that touchd web printed")
+            other = stranger.context.new_page()
+            other.goto(open_server.url)
+            expect(stranger.locator(STATUS)).to_have_text("Working")
+            other.close()
+            os.kill(open_server.process.pid, signal.SIGKILL)
             expect(stranger.locator(STATUS)).to_have_text("No connection")
 
 
