@@ -549,6 +549,19 @@ def test_measures_of_another_page(browser: Browser, server: Web, told: Wizard) -
         expect(others).to_be_hidden()
 
 
+def test_measures_at_another_path(browser: Browser, server: Web, told: Wizard) -> None:
+    """What is typed and not saved for one plate is not shown for another, which a proxy has at another path."""
+    told.show("untouched", running=None)
+    with page(browser, server.url) as opened:
+        for path, before in (("/one/", "200.4"), ("/two/", "200.4"), ("/one/", "133")):
+            opened.get_by_role("link", name="Live").click()
+            opened.evaluate("path => history.replaceState(null, '', path + location.hash)", path)
+            measuring(opened)
+            expect(opened.locator("[name=width_mm]")).to_have_value(before)
+            if path == "/one/":
+                opened.locator("[name=width_mm]").fill("133")
+
+
 def test_measures_beyond_all_plates(browser: Browser, server: Web) -> None:
     """A length, a place or a diameter that no drawing can have is not drawn, and is no error of the page."""
     with page(browser, server.url) as opened:
