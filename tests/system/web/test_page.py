@@ -562,6 +562,18 @@ def test_measures_at_another_path(browser: Browser, server: Web, told: Wizard) -
                 opened.locator("[name=width_mm]").fill("133")
 
 
+def test_names_of_discs(browser: Browser, server: Web, told: Wizard) -> None:
+    """On a plate that is small for its discs each disc's name stands beside it, not on it."""
+    discs = PLATE["discs"] | {"diameter_mm": 15.0}
+    told.show("taps", plate={**PLATE, "discs": discs})
+    with page(browser, server.url) as opened:
+        opened.get_by_role("link", name="Calibrate").click()
+        expect(opened.locator("[data-panel=taps] svg text.name")).to_have_count(5)
+        over = opened.evaluate("""() => [...document.querySelectorAll('[data-panel=taps] svg text.name')]
+            .map(name => name.getBoundingClientRect().bottom - name.previousSibling.getBoundingClientRect().top)""")
+        assert max(over) < 1.5, over
+
+
 def test_measures_beyond_all_plates(browser: Browser, server: Web) -> None:
     """A length, a place or a diameter that no drawing can have is not drawn, and is no error of the page."""
     with page(browser, server.url) as opened:
