@@ -574,6 +574,26 @@ def test_names_of_discs(browser: Browser, server: Web, told: Wizard) -> None:
         assert max(over) < 1.5, over
 
 
+def test_recipe(browser: Browser, server: Web, told: Wizard) -> None:
+    """A recipe's name can be read whole, on a phone too."""
+    told.show("measures")
+    with page(browser, server.url) as opened:
+        opened.get_by_role("link", name="Calibrate").click()
+        opened.get_by_role("button", name="7 Train").click()
+        recipe = opened.locator("[name=recipe]")
+        recipe.wait_for()
+        for wide in (390, 800, 1280):
+            opened.set_viewport_size({"width": wide, "height": 800})
+            cut = recipe.evaluate("""one => {
+                const wide = one.offsetWidth;
+                one.style.width = 'max-content';
+                const whole = one.offsetWidth;
+                one.style.width = '';
+                return whole - wide;
+            }""")
+            assert cut <= 1, wide
+
+
 def test_measures_beyond_all_plates(browser: Browser, server: Web) -> None:
     """A length, a place or a diameter that no drawing can have is not drawn, and is no error of the page."""
     with page(browser, server.url) as opened:
