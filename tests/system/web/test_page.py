@@ -303,7 +303,7 @@ def test_calibrate_without_frames(browser: Browser, tmp_path: Path) -> None:
 
 def test_keypad(browser: Browser, tmp_path: Path) -> None:
     """A keypad's keys are drawn, like all that the plate has; its touches are not. Asked for by name they are, with a
-    session alone."""
+    session alone: without one, the page says which address to open."""
     where = f"ipc://{tmp_path}/bus"
     with (
         bus(where, "keypad"),
@@ -321,7 +321,14 @@ def test_keypad(browser: Browser, tmp_path: Path) -> None:
             assert min(painted.values()) > 300, painted
         with page(browser, open_server.url) as opened:
             expect(opened.locator(".fingers tbody tr")).to_have_count(5)
-        with page(browser, open_server.base) as stranger:
+        with page(browser, f"{open_server.base}#token=of-the-start-before") as stranger:
+            expect(stranger.locator(STATUS)).to_have_text("No access")
+            expect(stranger.locator(REASON)).to_contain_text("open the address that touchd web printed")
+            other = stranger.context.new_page()
+            other.goto(open_server.url)
+            expect(stranger.locator(STATUS)).to_have_text("Working")
+            other.close()
+            os.kill(open_server.process.pid, signal.SIGKILL)
             expect(stranger.locator(STATUS)).to_have_text("No connection")
 
 
@@ -540,6 +547,51 @@ def test_measures_of_another_page(browser: Browser, server: Web, told: Wizard) -
         expect(height).to_have_value("91")
         expect(width).to_have_value("200.4")
         expect(others).to_be_hidden()
+
+
+def test_measures_at_another_path(browser: Browser, server: Web, told: Wizard) -> None:
+    """What is typed and not saved for one plate is not shown for another, which a proxy has at another path."""
+    told.show("untouched", running=None)
+    with page(browser, server.url) as opened:
+        for path, before in (("/one/", "200.4"), ("/two/", "200.4"), ("/one/", "133")):
+            opened.get_by_role("link", name="Live").click()
+            opened.evaluate("path => history.replaceState(null, '', path + location.hash)", path)
+            measuring(opened)
+            expect(opened.locator("[name=width_mm]")).to_have_value(before)
+            if path == "/one/":
+                opened.locator("[name=width_mm]").fill("133")
+
+
+def test_names_of_discs(browser: Browser, server: Web, told: Wizard) -> None:
+    """On a plate that is small for its discs each disc's name stands beside it, not on it."""
+    discs = PLATE["discs"] | {"diameter_mm": 15.0}
+    told.show("taps", plate={**PLATE, "discs": discs})
+    with page(browser, server.url) as opened:
+        opened.get_by_role("link", name="Calibrate").click()
+        expect(opened.locator("[data-panel=taps] svg text.name")).to_have_count(5)
+        over = opened.evaluate("""() => [...document.querySelectorAll('[data-panel=taps] svg text.name')]
+            .map(name => name.getBoundingClientRect().bottom - name.previousSibling.getBoundingClientRect().top)""")
+        assert max(over) < 1.5, over
+
+
+def test_recipe(browser: Browser, server: Web, told: Wizard) -> None:
+    """A recipe's name can be read whole, on a phone too."""
+    told.show("measures")
+    with page(browser, server.url) as opened:
+        opened.get_by_role("link", name="Calibrate").click()
+        opened.get_by_role("button", name="7 Train").click()
+        recipe = opened.locator("[name=recipe]")
+        recipe.wait_for()
+        for wide in (390, 800, 1280):
+            opened.set_viewport_size({"width": wide, "height": 800})
+            cut = recipe.evaluate("""one => {
+                const wide = one.offsetWidth;
+                one.style.width = 'max-content';
+                const whole = one.offsetWidth;
+                one.style.width = '';
+                return whole - wide;
+            }""")
+            assert cut <= 1, wide
 
 
 def test_measures_beyond_all_plates(browser: Browser, server: Web) -> None:

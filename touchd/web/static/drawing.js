@@ -61,8 +61,9 @@ export function drawing(label) {
     if (heat) found.splice(1, 0, shape('image', { href: picture(heat), x: 0, y: 0, width, height, preserveAspectRatio: 'none' }));
     for (const [index, [x, y]] of [discs.emitter_mm, ...discs.receivers_mm].entries()) {
       if (!drawable(x) || !drawable(y)) continue;
-      found.push(shape('circle', { class: index ? 'disc' : 'disc emitter', cx: x, cy: y, r: Math.max(drawable(discs.diameter_mm) ? discs.diameter_mm / 2 : 0, large / 80) }));
-      found.push(shape('text', { class: 'name', x, y, 'font-size': size, dy: '0.35em' }, index ? `${index}` : texts.plate.emitter));
+      const r = Math.max(drawable(discs.diameter_mm) ? discs.diameter_mm / 2 : 0, large / 80);
+      found.push(shape('circle', { class: index ? 'disc' : 'disc emitter', cx: x, cy: y, r }));
+      found.push(shape('text', { class: 'name', x, y: y - r, 'font-size': size, dy: '-0.25em' }, index ? `${index}` : texts.plate.emitter));
     }
     for (const tap of taps) found.push(shape('circle', { class: 'tap', cx: tap.target_mm[0], cy: tap.target_mm[1], r: large / 110 }));
     if (last && !last.ok) found.push(shape('circle', { class: 'tap missed', cx: last.target_mm[0], cy: last.target_mm[1], r: large / 110 }));

@@ -17,9 +17,9 @@ function numeric(text) {
   return NUMBER.test(plain) ? Number(plain.replace(',', '.')) : NaN;
 }
 
-const DRAFT = 'touchd-measures'; // what is typed and not saved, while this tab lives
-
 export function measures(t, save) {
+  // What is typed and not saved, while this tab lives: by path, since a proxy may have another plate at another one.
+  const stored = `touchd-measures ${location.pathname}`;
   const picture = drawing(t.drawing);
   const fields = element('div', { class: 'measures' }), others = element('p', { class: 'muted', role: 'status', hidden: true }, t.others);
   const root = element('form', { class: 'measuring', onsubmit: submit },
@@ -39,13 +39,13 @@ export function measures(t, save) {
     typed = false; // the wizard's next state has it
     typed = !await save(read()) || typed;
     others.hidden ||= !typed;
-    if (!typed) sessionStorage.removeItem(DRAFT);
+    if (!typed) sessionStorage.removeItem(stored);
   }
 
   // Keeps what is being typed: another view, or a reload, would lose it.
   function note() {
     typed = true;
-    sessionStorage.setItem(DRAFT, JSON.stringify({ typed: read(text => text), shown }));
+    sessionStorage.setItem(stored, JSON.stringify({ typed: read(text => text), shown }));
   }
 
   // The browser shows at the field what is wrong there, and submits nothing.
@@ -107,7 +107,7 @@ export function measures(t, save) {
     picture.show(read());
   }
 
-  const draft = JSON.parse(sessionStorage.getItem(DRAFT));
+  const draft = JSON.parse(sessionStorage.getItem(stored));
   if (draft) [typed, shown, kept] = [true, draft.shown, draft.typed];
   fill(draft?.typed ?? START);
   // Takes what the wizard knows, once; what is being typed stays, and the person is told that others were saved.

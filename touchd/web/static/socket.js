@@ -9,6 +9,12 @@ function age(batch, message) {
   return Math.abs(byClock - byWall) < SAME_CLOCK_MS ? Math.max(0, byClock) : null;
 }
 
+// Whether the server refuses to show anything without a session. A script learns the status of a request, not of a WebSocket.
+async function refuses() {
+  const answer = await fetch('live', { signal: AbortSignal.timeout(SILENT_MS) }).catch(() => null);
+  return answer?.status === 401;
+}
+
 export class Feed {
   constructor() {
     this.state = 'connecting';
@@ -54,13 +60,16 @@ export class Feed {
     address.protocol = address.protocol.replace('http', 'ws');
     address.hash = '';
     const socket = this.socket = new WebSocket(address);
+    let opened = false;
     this.batchAt = performance.now();
     socket.onmessage = event => this.take(event.data);
-    socket.onopen = () => { this.batchAt = performance.now(); this.say(); };
-    socket.onclose = () => {
+    socket.onopen = () => { opened = true; this.batchAt = performance.now(); this.say(); };
+    socket.onclose = async () => {
       if (this.socket !== socket) return;
       this.socket = null;
-      this.enter('closed');
+      const refused = !opened && await refuses();
+      if (this.socket) return; // the page was hidden meanwhile, and seen again
+      this.enter(refused ? 'refused' : 'closed');
       if (document.hidden) return;
       this.timer = setTimeout(() => this.open(), this.waitMs * (0.5 + Math.random()));
       this.waitMs = Math.min(2 * this.waitMs, LONGEST_WAIT_MS);

@@ -51,6 +51,7 @@ export class Status {
     const { texts, feed } = this, health = feed.last.health, silent = feed.silence();
     const state = (level, [word, reason], stale = true) => ({ level, word, reason, stale });
     if (feed.state === 'connecting') return state('busy', texts.connecting);
+    if (feed.state === 'refused') return state('failure', texts.no_access);
     if (feed.state !== 'open') return state('failure', texts.no_server);
     if (silent === null || !health) return state('failure', texts.no_daemon);
     if (health.state === 'stopping') return state('failure', texts.states.stopping);

@@ -1,11 +1,13 @@
 // Every text of the page. To translate it, translate the right-hand sides.
+const ADDRESS = 'open the address that touchd web printed at its start; of the service: journalctl -u touchd-web | grep open';
+
 export const texts = {
   language: 'en',
   title: 'touchd',
   views: { live: 'Live', replay: 'Replay', calibrate: 'Calibrate', check: 'Check' },
   navigation: 'Views',
   theme: { auto: 'Colours: system', light: 'Colours: light', dark: 'Colours: dark' },
-  no_session: 'To act, open the address that touchd web printed at its start; of the service: journalctl -u touchd-web | grep open',
+  no_session: `To act, ${ADDRESS}`,
 
   states: {
     starting: ['Starting', 'The daemon is opening its device.'],
@@ -17,6 +19,7 @@ export const texts = {
   },
   connecting: ['Connecting', 'The page asks touchd web.'],
   no_server: ['No connection', 'touchd web does not answer. The page keeps trying.'],
+  no_access: ['No access', `To look, ${ADDRESS}`],
   no_daemon: ['No daemon', 'No daemon publishes on this bus. systemctl status touchd'],
   silent: s => [`No data for ${s} s`, 'The daemon says nothing, and what is shown is old. systemctl status touchd'],
   late: s => [`Late by ${s} s`, 'The computer is too busy to keep up with the frames.'],
