@@ -4,8 +4,7 @@ Swapped cables, another thickness, material or side, a clamped edge, and a disc 
 arrivals, at low frequencies, where a small eigenproblem does; in steady state, which has no first arrivals alone, on
 the whole frame. The best is then fitted whole, and, where that does not fit, taken for the next round: two facts may be
 wrong.
-Corners may be rounded, too. Soft edges, rolled sheet and small radii, which these hardly know, are tried on the whole
-frame from where the fit has ended.
+Corners may be rounded, too. What these hardly know is tried on the whole frame: `touchd.calibration.further`.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.loads import SIDES
-from touchd.calibration.parameters import Reader, held_sides, is_plastic, wavelength_mm
+from touchd.calibration.parameters import Reader, held_sides, wavelength_mm
 from touchd.calibration.plate_file import Edges, Place, PlateFile, check_places
 from touchd.calibration.reduced_plate import Floats, ReducedPlate, shape_of
-from touchd.calibration.stages import WHOLE, State, descend, window_of
+from touchd.calibration.stages import WHOLE, window_of
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel
 from touchd.calibration.wirings import disc_names, orders
@@ -49,17 +48,12 @@ ALIKE_SPEED, ALIKE_POISSON = 0.02, 0.06
 """Relative difference of wave speed, and difference of Poisson's ratio, within which a fit is a material's."""
 MOST_A_ROUND = 2
 """As many candidates are fitted whole."""
-SOFT_STEPS, SOFT_BETTER = 4, 0.9
-"""Tape on soft edges leaves less than this share after so many steps, 0.42 to 0.83 where there is some (twin): other
-unknowns have taken its part, and yield in a fit of all."""
 RADII_MM, RADIUS_MM = (3.0, 6.0, 9.0, 13.0, 18.0, 25.0), 4.0
 """Of rounded corners that are tried on the first arrivals, and how surely these tell them."""
-ROUNDED_MM = 3.0
-"""From there a fit that is near finds radii of 1.5 to 7 mm (twin)."""
 ROUNDED_FIT = (
-    "rounded corners fit, with a radius of {plate.corner_radius_mm:.1f} mm: measure it, and give it (`corner_radius_mm`)"
+    "rounded corners fit, with a radius of {plate.corner_radius_mm:.1f} mm: measure it, and give it as "
+    "`corner_radius_mm`"
 )
-SHEET_FITS = "a sheet that is stiffer along one side fits, as rolled metal is: say that it is rolled (`rolled = true`)"
 OTHERWISE = 1.1
 """Another wiring, or a disc elsewhere, must pay: a symmetric layout has several wirings that are alike, and a disc has
 all places to choose from."""
@@ -96,63 +90,23 @@ def candidates(said: PlateFile, untouched: Untouched, rounds: int = ROUNDS) -> I
 def _better(said: PlateFile, untouched: Untouched) -> list[Candidate]:
     """Return the candidates that differ from what was said in one fact or two, and fit better, best first."""
     live = np.flatnonzero(~untouched.dead)
-    model, window = _early(said, untouched)
+    model, window = early(said, untouched)
     as_said = _misfits(model, window)
     order = orders(as_said.shape[1])[0]
     usual = _left(as_said, order, live)
     speed = float(SPEEDS[np.argmin([_left(each[None], order, live) for each in as_said])])
-    p = _at_speed(model.reader, speed)
+    p = at_speed(model.reader, speed)
     tried = [_try(said, (), as_said, live)]
     for plate, what in [*_other_plates(said), *_other_sides(said, model, window, p, live)]:
-        tried.append(_try(plate, (what,), _misfits(*_early(plate, untouched, model.plate)), live))
+        tried.append(_try(plate, (what,), _misfits(*early(plate, untouched, model.plate)), live))
     for plate, what in _moved_discs(said, model, p, live):
-        left = _left(_misfits(*_early(plate, untouched, model.plate)), order, live)
+        left = _left(_misfits(*early(plate, untouched, model.plate)), order, live)
         tried.append(Candidate(plate, (what,), OTHERWISE * left))
     return sorted((c for c in tried if c.what and c.left < BETTER * usual), key=lambda c: c.left)[:MOST_A_ROUND]
 
 
-def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPlate) -> list[Candidate]:
-    """Return the plate with all its edges on tape, if they are said to be free and tape leaves less than the fit."""
-    if held_sides(said):
-        return []
-    taped, a = _with(said, edge="tape"), untouched.acquisition
-    held = Reader(taped, a)
-    p = np.zeros_like(held.start)  # from free edges: it may be one alone that is held
-    p[held.index(Reader(said, a).names)] = state.p
-    left = descend(UntouchedModel(plate, held, untouched), p, held.edges, WHOLE, SOFT_STEPS).left / state.left
-    what = "tape or pads along the edges fit: say which edge is held"
-    return [Candidate(taped, (what,), left)] if left < SOFT_BETTER else []
-
-
-def rolled(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPlate, *, near: bool) -> list[Candidate]:
-    """Return the plate as rolled sheet, if it is of metal and so leaves less than a fit that is `near` already."""
-    if said.plate.rolled or (said.plate.material or "").lower() == "glass" or is_plastic(said):
-        return []
-    sheet, a = _with(said, rolled=True), untouched.acquisition
-    if not near:
-        return [Candidate(sheet, (SHEET_FITS,), 1.0)]
-    reader = Reader(sheet, a)
-    p = reader.start.copy()
-    p[reader.index(Reader(said, a).names)] = state.p
-    left = descend(UntouchedModel(plate, reader, untouched), p, (*state.names, *reader.rolled), WHOLE, SOFT_STEPS).left
-    return [Candidate(sheet, (SHEET_FITS,), left / state.left)] if left < BETTER * state.left else []
-
-
-def rounded(said: PlateFile, untouched: Untouched, state: State) -> list[Candidate]:
-    """Return the plate with rounded corners, if they are said to be sharp and rounded ones leave less than the fit."""
-    if said.plate.corner_radius_mm:
-        return []
-    reader = Reader(_with(said, corner_radius_mm=ROUNDED_MM), untouched.acquisition)
-    p = reader.start.copy()
-    p[reader.index(Reader(said, untouched.acquisition).names)] = state.p
-    plate = ReducedPlate(reader.plate(p), untouched.acquisition.chirp.band_hz[1])
-    tried = descend(UntouchedModel(plate, reader, untouched), p, (*state.names, *reader.corner), WHOLE, SOFT_STEPS)
-    there_mm = round(reader.plate(tried.p).corner_radius_mm, 1)
-    candidate = Candidate(_with(said, corner_radius_mm=there_mm), (ROUNDED_FIT,), tried.left / state.left)
-    return [candidate] if candidate.left < BETTER else []
-
-
-def _with(said: PlateFile, **changed: object) -> PlateFile:
+def with_plate(said: PlateFile, **changed: object) -> PlateFile:
+    """Return what is said with other keys of `[plate]`."""
     return said.model_copy(update={"plate": said.plate.model_copy(update=changed)})
 
 
@@ -173,18 +127,18 @@ def _other_plates(said: PlateFile) -> list[tuple[PlateFile, str]]:
         ratio = thickness_mm / plate.thickness_mm
         if 1.05 < max(ratio, 1 / ratio) <= MOST_FACTOR or ratio == 10:
             what = f"a thickness of {thickness_mm:g} mm fits, not {plate.thickness_mm:g} mm: measure it again"
-            found.append((_with(said, thickness_mm=thickness_mm), what))
+            found.append((with_plate(said, thickness_mm=thickness_mm), what))
     for name in MATERIALS:
         if name != (plate.material or "").lower():
             found.append(of_material(said, name))
     if not plate.corner_radius_mm:
-        rounder = [_with(said, corner_radius_mm=r, corner_radius_uncertainty_mm=RADIUS_MM) for r in RADII_MM]
+        rounder = [with_plate(said, corner_radius_mm=r, corner_radius_uncertainty_mm=RADIUS_MM) for r in RADII_MM]
         found += [(each, ROUNDED_FIT) for each in rounder if not any(check_places(each))]
     if not held_sides(said):
         for side in SIDES:
             edges = Edges.model_validate({side: "clamped"})
             found.append(
-                (_with(said, edge=edges), f"a clamped {side} edge fits: free it, or give it as that side's edge")
+                (with_plate(said, edge=edges), f"a clamped {side} edge fits: free it, or give it as that side's edge")
             )
     return found
 
@@ -192,7 +146,7 @@ def _other_plates(said: PlateFile) -> list[tuple[PlateFile, str]]:
 def of_material(said: PlateFile, name: str) -> tuple[PlateFile, str]:
     """Return the plate as one of another material, and what to tell a person."""
     what = f"{name} fits, not {said.plate.material or 'the constants given'}: correct the material"
-    return _with(said, material=name, young_gpa=None, poisson=None, density_kg_m3=None), what
+    return with_plate(said, material=name, young_gpa=None, poisson=None, density_kg_m3=None), what
 
 
 def _other_sides(
@@ -210,7 +164,7 @@ def _other_sides(
             left.append(_left(model.pair_misfits(p_there, window)[None], tuple(range(len(model.measured) + 1)), live))
         changed = {f"{name}_mm": float(tried[np.argmin(left)]), f"{name}_uncertainty_mm": SIDE_STEP_MM}
         what = f"a {name} of {{plate.{name}_mm:.1f}} mm fits, not {side_mm:g} mm: measure it again"
-        yield _with(said, **changed), what
+        yield with_plate(said, **changed), what
 
 
 def _moved_discs(
@@ -222,9 +176,9 @@ def _moved_discs(
 
     def left(at_mm: Floats, p: Floats) -> Floats:
         shares = [model.place_misfits(p, window, 1e-3 * at_mm)[:, :, live] for window in windows]
-        return _typical(np.concatenate(shares, axis=2))
+        return typical(np.concatenate(shares, axis=2))
 
-    near = [_at_speed(model.reader, speed) for speed in p[model.reader.index(("speed",))] + FINER_SPEEDS]
+    near = [at_speed(model.reader, speed) for speed in p[model.reader.index(("speed",))] + FINER_SPEEDS]
     there_mm = np.array([said.discs.emitter_mm])
     p = min(near, key=lambda each: float(left(there_mm, each)[0, 0]))
     step_mm = wavelength_mm(said.twin_plate(), model.untouched.acquisition.chirp) / PLACES_PER_WAVE
@@ -251,7 +205,7 @@ def grid(width_mm: float, height_mm: float, margin_mm: float, step_mm: float) ->
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
-def _early(said: PlateFile, untouched: Untouched, usual: ReducedPlate | None = None) -> tuple[UntouchedModel, Floats]:
+def early(said: PlateFile, untouched: Untouched, usual: ReducedPlate | None = None) -> tuple[UntouchedModel, Floats]:
     """Return the plate's model at low frequencies, and the window of the first arrivals.
 
     `usual` is the basis of a plate that may be the same but for its edges and discs.
@@ -268,7 +222,8 @@ def _early(said: PlateFile, untouched: Untouched, usual: ReducedPlate | None = N
     return model, window_of(model, share)
 
 
-def _at_speed(reader: Reader, speed: float) -> Floats:
+def at_speed(reader: Reader, speed: float) -> Floats:
+    """Return the vector of what was said, at another wave speed."""
     p = reader.start.copy()
     p[reader.index(("speed",))] += speed
     return p
@@ -276,20 +231,20 @@ def _at_speed(reader: Reader, speed: float) -> Floats:
 
 def _misfits(model: UntouchedModel, window: Floats) -> Floats:
     """Return what the way between any two discs leaves of each channel, at each speed, shape (speeds, D, D, R)."""
-    return np.array([model.pair_misfits(_at_speed(model.reader, speed), window) for speed in SPEEDS])
+    return np.array([model.pair_misfits(at_speed(model.reader, speed), window) for speed in SPEEDS])
 
 
 def _left(misfits: Floats, order: tuple[int, ...], live: NDArray[np.intp]) -> float:
-    """Return what a wiring leaves of the live channels at the best speed, see `_typical`."""
-    return float(_typical(misfits[:, order[0], [order[c + 1] for c in live], live]).min())
+    """Return what a wiring leaves of the live channels at the best speed, see `typical`."""
+    return float(typical(misfits[:, order[0], [order[c + 1] for c in live], live]).min())
 
 
-def _typical(shares: Floats) -> Floats:
-    """Return the geometric mean over the channels, the last axis: some that fit well tell more than all that half fit.
+def typical(shares: Floats, axis: int = -1) -> Floats:
+    """Return the geometric mean of what channels leave: some that fit well tell more than all that half fit.
 
     The first arrivals are short, and a wrong way leaves a tenth of them now and then.
     """
-    return np.asarray(np.exp(np.log(np.maximum(shares, LEAST_SHARE)).mean(axis=-1)))
+    return np.asarray(np.exp(np.log(np.maximum(shares, LEAST_SHARE)).mean(axis=axis)))
 
 
 def _try(said: PlateFile, what: tuple[str, ...], misfits: Floats, live: NDArray[np.intp]) -> Candidate:

@@ -99,7 +99,7 @@ class PhysicalField:
         self._discs = self._response.modes.discs
         x = band(a, record.hz)
         gain = fit.gains @ np.stack([x**k for k in range(fit.gains.shape[1])])
-        self._heard = emission(a, nu) * gain  # (R, F)
+        self._heard = emission(a, nu, fit.late_us) * gain  # (R, F)
         self._to_bins = spectra_to_bins(record, a)
         self._hz, self.bins_hz = record.hz, band_bins(a) * a.sample_rate_hz / a.samples
 

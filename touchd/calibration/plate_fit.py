@@ -7,17 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from touchd.calibration.candidates import (
-    MOST_A_ROUND,
-    ROUNDS,
-    Candidate,
-    candidates,
-    material_like,
-    of_material,
-    rolled,
-    rounded,
-    soft_edges,
-)
+from touchd.calibration.arrival import late_us
+from touchd.calibration.candidates import MOST_A_ROUND, ROUNDS, Candidate, candidates, material_like, of_material
+from touchd.calibration.further import rolled, rounded, soft_edges
 from touchd.calibration.loads import Edges, Loss, attachments
 from touchd.calibration.parameters import LOGARITHMS, Reader, wavelength_mm
 from touchd.calibration.plate_file import PlateFile
@@ -79,6 +71,8 @@ class PlateFit(Judgement):
     """What the fitted plate's modes are in: with others a disc would yield otherwise, and its fitted load be wrong."""
     edges: Edges
     """What holds the sides."""
+    late_us: float = 0.0
+    """By how much frames are late."""
     scattered: float = 0.0
     """Share of the untouched energy that scatterers change."""
 
@@ -120,6 +114,11 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
 
     fit, state = _fit(Candidate(said, (), 1.0), recording_mean, lambda share: progress("fit", share), asked)
     progress("fit", 1.0)
+    if fit.left > GOOD_LEFT and (late := late_us(said, recording_mean)) is not None:
+        moved = recording_mean._replace(late_us=late)
+        again, there = _fit(Candidate(said, (), 1.0), moved, lambda share: progress("candidates", share / MOST), asked)
+        if again.unexplained < HALF * fit.unexplained:
+            recording_mean, fit, state = moved, again, there
     best, taken = fit, Candidate(said, (), 1.0)
     for candidate in _others(said, recording_mean, fit, state):
         found = other(candidate)
@@ -167,6 +166,9 @@ def _fit(
     measured, p = untouched.mean, state.p
     fitted = model.signals(p, state.fitted)
     parameters = tuple(each._replace(said=asked.get(each.name, each.said)) for each in _parameters(reader, state))
+    if untouched.late_us:
+        step_us = 1e6 / untouched.acquisition.sample_rate_hz
+        parameters += (Parameter("frames late by", "us", 0.0, untouched.late_us, step_us, at_prior=False),)
     plate, guess, layout = reader.plate(p), reader.read(p), reader.layout(p)
     found = [what.format(layout=layout, plate=plate) for what in candidate.what]
     if place_mm := resting(model, state):
@@ -198,7 +200,7 @@ def _fit(
         parameters=parameters, **vars(judgement),
         scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
         measured=measured, fitted=fitted, basis=model.plate, edges=guess.edges,
-        scattered=scattered,
+        scattered=scattered, late_us=untouched.late_us,
     )  # fmt: skip
     return fit, state
 

@@ -48,11 +48,13 @@ class Untouched(NamedTuple):
     frames: int
     """How many frames went into it."""
     acquisition: Acquisition
+    late_us: float = 0.0
+    """By how much the frames are late, as a converter's filter delays them."""
 
     @property
     def dead(self) -> NDArray[np.bool_]:
         """Which channels hear nothing of the plate, shape (R,)."""
-        rms = np.sqrt((without_background(self.mean, self.acquisition) ** 2).mean(axis=1))
+        rms = np.sqrt((without_background(self.mean, self.acquisition, self.late_us) ** 2).mean(axis=1))
         return np.asarray((rms <= SILENT * np.median(rms)) | (rms <= 3 * self.noise))
 
 

@@ -66,9 +66,9 @@ class UntouchedModel:
         self._scatterers = scatterers
         record = Record(a)
         self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
-        x, emitted = band(a, record.hz), emission(a, self.nu_rad_s)
+        x, emitted = band(a, record.hz), emission(a, self.nu_rad_s, untouched.late_us)
         self._emission = np.stack([emitted * x**k for k in range(GAIN_TERMS)])  # (K, F)
-        self._background = background_waves(a)  # (6, S)
+        self._background = background_waves(a, untouched.late_us)  # (6, S)
 
     def fit(self, p: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
         """Return a vector's misfit in samples weighed by `window` (S,), and its derivatives by `active` unknowns."""
@@ -153,6 +153,10 @@ class UntouchedModel:
             shares.append(met**2 / np.maximum(energy, np.finfo(float).tiny))
         return np.asarray(np.concatenate(shares) / np.square(residual).sum())
 
+    def heard_bases(self, p: Floats, window: Floats) -> list[Floats]:
+        """Return all that each channel may hear of an untouched plate, weighed, in orthonormal columns (S, k)."""
+        return self._orthonormal(self._response(p), window)
+
     def changes(self, p: Floats, fitted: Fitted, places_m: Floats, loads: Complex) -> Iterator[Floats]:
         """Yield what small loads (K, F) at each place (n, 2) change, some places at once, shape (m, K, R, S).
 
@@ -160,7 +164,7 @@ class UntouchedModel:
         """
         response, shape = self._response(p), self.reader.read(p).shape
         places_m, _ = inside(places_m, np.array([shape.width, shape.height]), shape.corner)
-        basis = [np.linalg.qr(B.T)[0] for B in self._heard_basis(response.untouched())]
+        basis = self._orthonormal(response)
         heard = fitted.gains @ self._emission  # (R, F)
         for part in np.array_split(places_m, np.ceil(len(places_m) / _AT_ONCE)):
             emitter, *receivers = response.at(part)  # each (n, F)
@@ -175,6 +179,9 @@ class UntouchedModel:
         if not self._scatterers:
             guess = guess._replace(discs=guess.discs._replace(scatterers=guess.discs.scatterers[:0]))
         return DiscResponse(self.plate, guess, self.nu_rad_s, self._lines)
+
+    def _orthonormal(self, response: DiscResponse, window: Floats | float = 1.0) -> list[Floats]:
+        return [np.linalg.qr(B.T)[0] for B in self._heard_basis(response.untouched()) * window]
 
     def _basis(self, waves: Complex) -> Floats:
         """Return the signals of waves (..., K, F) and of i times these, shape (..., 2 K, S)."""
