@@ -140,13 +140,13 @@ def _mutual(classes: Sequence[Floats], kernels: Sequence[Complex]) -> Complex:
     An edge's vectors have a parity: on a free plate half of them are zero in each class of modes.
     """
     V, F = classes[0].shape[1], kernels[0].shape[1]
-    found = np.zeros((V, V, F), dtype=complex)
+    one, other = np.triu_indices(V)
+    found = np.zeros((len(one), F), dtype=complex)
     largest = np.max([np.abs(own).max(axis=0) for own in classes if len(own)], axis=0)
     for own, kernel in zip(classes, kernels, strict=True):
-        there = np.flatnonzero(np.abs(own).max(axis=0) > _ABSENT * largest)
-        some = own.T[there]
-        for i, row in enumerate(there):
-            found[row, there[i:]] += times(some[i] * some[i:], kernel)
-    lower = np.tril_indices(V, -1)
-    found[lower] = found[lower[::-1]]
-    return np.ascontiguousarray(found.transpose(2, 0, 1))
+        there = np.abs(own).max(axis=0) > _ABSENT * largest
+        pairs = np.flatnonzero(there[one] & there[other])
+        found[pairs] += times((own[:, one[pairs]] * own[:, other[pairs]]).T, kernel)
+    whole = np.empty((F, V, V), dtype=complex)
+    whole[:, one, other] = whole[:, other, one] = found.T
+    return whole
