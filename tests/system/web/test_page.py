@@ -523,6 +523,20 @@ def test_no_number(browser: Browser, server: Web, told: Wizard) -> None:
         assert [plate["plate"]["width_mm"] for plate in told.saved] == [110.5, 110.5]
 
 
+def test_rounded_corners(browser: Browser, server: Web, told: Wizard) -> None:
+    """A pane's corners are sharp until their radius is typed: it is drawn, and saved with the other measures."""
+    told.show("untouched", running=None)
+    with page(browser, server.url) as opened:
+        measuring(opened)
+        radius, pane = opened.locator("[name=corner_radius_mm]"), opened.locator(".measuring .glass")
+        expect(radius).to_have_value("0")
+        radius.fill("7,5")
+        expect(pane).to_have_attribute("rx", "7.5")
+        opened.get_by_role("button", name="Save the measures").click()
+        expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
+        assert [plate["plate"]["corner_radius_mm"] for plate in told.saved] == [7.5]
+
+
 def test_measures_of_another_page(browser: Browser, server: Web, told: Wizard) -> None:
     """What is being typed stays while other measures are saved elsewhere, which the page says; once it is saved, and
     where nothing is typed, the wizard's measures are shown."""
