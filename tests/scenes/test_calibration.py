@@ -468,7 +468,10 @@ def test_frames_that_begin_before_the_chirp(late: int) -> None:
     on_time = heard()
     moved = np.roll(on_time.mean, late, axis=1)
     moved[:, :late] = 0.0
-    fit = fit_plate(said(), on_time._replace(mean=moved))
+    told = list[float]()
+    fit = fit_plate(said(), on_time._replace(mean=moved), lambda stage, share: told.append(share + (stage != "fit")))
+    assert told == sorted(told)
+    assert told[-1] == 2.0
     assert fit.verdict == "good"
     assert fit.unexplained < 3e-4
     assert fit.late_us == pytest.approx(4 * late, abs=8.1)

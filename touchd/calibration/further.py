@@ -44,8 +44,7 @@ def rolled(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPl
     if not near:
         return [Candidate(sheet, (SHEET_FITS,), 1.0)]
     reader = Reader(sheet, a)
-    p = reader.start.copy()
-    p[reader.index(Reader(said, a).names)] = state.p
+    p = reader.starting_at(state.p, Reader(said, a))
     left = descend(UntouchedModel(plate, reader, untouched), p, (*state.names, *reader.rolled), WHOLE, SOFT_STEPS).left
     return [Candidate(sheet, (SHEET_FITS,), left / state.left)] if left < BETTER * state.left else []
 
@@ -55,8 +54,7 @@ def rounded(said: PlateFile, untouched: Untouched, state: State) -> list[Candida
     if said.plate.corner_radius_mm:
         return []
     reader = Reader(with_plate(said, corner_radius_mm=ROUNDED_MM), untouched.acquisition)
-    p = reader.start.copy()
-    p[reader.index(Reader(said, untouched.acquisition).names)] = state.p
+    p = reader.starting_at(state.p, Reader(said, untouched.acquisition))
     plate = ReducedPlate(reader.plate(p), untouched.acquisition.chirp.band_hz[1])
     tried = descend(UntouchedModel(plate, reader, untouched), p, (*state.names, *reader.corner), WHOLE, SOFT_STEPS)
     there_mm = round(reader.plate(tried.p).corner_radius_mm, 1)

@@ -33,6 +33,7 @@ STRETCH_PRIOR = 0.5
 PLANE_PRIOR, LEAST_PLANE = 0.05, 0.1
 """Of stiffness over mass in the plane: a display of 0.7 mm bonded on 5 mm of glass takes 12 % of it across alone."""
 LEAST_CORNER_MM = 0.5
+"""Radius of rounded corners, at least: of sharp ones there is no basis of plates with others."""
 ROLLED_PRIOR = 0.05
 """Of how stiff a sheet is along the width over along the height, and of how stiff in shear: rolling leaves 10 %."""
 ROLLED_RANGE = 0.5, 2.0
@@ -187,6 +188,12 @@ class Reader:
     def index(self, names: tuple[str, ...]) -> NDArray[np.intp]:
         """Return where names stand in a vector."""
         return np.array([self._at[name] for name in names], np.intp)
+
+    def starting_at(self, p: Floats, other: Reader) -> Floats:
+        """Return the start, with what another reader's vector says of the unknowns that both have."""
+        found = self.start.copy()
+        found[self.index(other.names)] = p
+        return found
 
     def read(self, p: Floats) -> Guess:
         """Return what a vector says, in SI units."""

@@ -20,6 +20,7 @@ from touchd.twin.physics.transducer import Layout
 LEAST_DISC_MM = 2.0
 """No wider than thick: what bends a plate is wider."""
 ROUNDING_MM = 1e-9
+"""Of a place's way to the edge."""
 Edge = Literal["free", "pads", "tape", "clamped"]
 Millimetres = Annotated[float, Field(gt=0, le=1e5, strict=True)]
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]

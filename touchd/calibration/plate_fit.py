@@ -39,9 +39,9 @@ HALF = 0.5
 """Another plate than the one said must leave less than this share of what the said one leaves."""
 ENOUGH_LEFT = 0.03
 """Another plate that leaves more may have one wrong fact of two: a disc 12 mm off leaves 12 % (twin)."""
-MOST = ROUNDS * MOST_A_ROUND + 3
-"""As many candidates are fitted whole: those of all rounds; or rounded corners or a sheet; a scatterer; and another
-material."""
+MOST = ROUNDS * MOST_A_ROUND + 4
+"""As many candidates are fitted whole: frames that are late; those of all rounds, or rounded corners; a sheet; a
+scatterer; and another material."""
 Progress = Callable[[str, float], object]
 """Receives the stage's name and the share of its work that is done, 0 .. 1: of candidates, of all that may come."""
 
@@ -106,29 +106,28 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
 
     tried = 0
 
-    def other(candidate: Candidate) -> PlateFit:
+    def other(candidate: Candidate, untouched: Untouched) -> tuple[PlateFit, State]:
         nonlocal tried
         before, tried = tried, tried + 1
-        fit, _ = _fit(candidate, recording_mean, lambda share: progress("candidates", (before + share) / MOST), asked)
-        return fit
+        return _fit(candidate, untouched, lambda share: progress("candidates", (before + share) / MOST), asked)
 
     fit, state = _fit(Candidate(said, (), 1.0), recording_mean, lambda share: progress("fit", share), asked)
     progress("fit", 1.0)
     if fit.left > GOOD_LEFT and (late := late_us(said, recording_mean)) is not None:
         moved = recording_mean._replace(late_us=late)
-        again, there = _fit(Candidate(said, (), 1.0), moved, lambda share: progress("candidates", share / MOST), asked)
+        again, there = other(Candidate(said, (), 1.0), moved)
         if again.unexplained < HALF * fit.unexplained:
             recording_mean, fit, state = moved, again, there
     best, taken = fit, Candidate(said, (), 1.0)
     for candidate in _others(said, recording_mean, fit, state):
-        found = other(candidate)
+        found, _ = other(candidate, recording_mean)
         if found.unexplained < min(HALF * best.unexplained, USABLE_LEFT):
             best, taken = found, candidate
         if taken.what and best.left < ENOUGH_LEFT:
             break
     if name := _other_material(best):  # whose constants are closer than those of the one said
         plate, told = of_material(taken.said, name)
-        best = other(Candidate(plate, (*taken.what, told), 1.0))
+        best, _ = other(Candidate(plate, (*taken.what, told), 1.0), recording_mean)
     if tried:
         progress("candidates", 1.0)
     return best

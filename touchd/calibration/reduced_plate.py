@@ -38,7 +38,8 @@ Array = TypeVar("Array", Floats, Complex)
 BASIS, BASIS_OF_MANY = 3.0, 1.8
 """Modes up to this many times the highest frequency are the basis; fewer where a plate has thousands."""
 MOST_GROWN = 1.3
-"""Of the pieces beyond rounded corners, over the reference's: what is linear takes more mass away than there is."""
+"""Area of the pieces beyond rounded corners over the reference's, at most: beyond, a change that is linear in the area
+takes away more mass than there is."""
 IN_PLANE, IN_PLANE_OF_MANY = 1.3, 1.05
 """The same of modes in the plate's plane: with twice as many a fit leaves half of 2e-4 (twin)."""
 

@@ -48,8 +48,7 @@ def scatterers(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
 
     def fitted(at_mm: Floats) -> Candidate:
         more = Reader(with_one(at_mm), untouched.acquisition)
-        start = more.start.copy()
-        start[more.index(reader.names)] = state.p
+        start = more.starting_at(state.p, reader)
         own = more.scatterers[len(reader.scatterers) :]
         alone = descend(UntouchedModel(plate, more, untouched), start, own, WHOLE, STEPS)
         there_mm = np.clip(1e3 * more.read(alone.p).discs.scatterers[-1, :2], 0.0, (p.width_mm, p.height_mm))

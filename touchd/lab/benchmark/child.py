@@ -98,7 +98,7 @@ def run(
             count = i + 1
         keep(frame, contacts)
 
-    preroll.keep = clocked  # type: ignore[method-assign]
+    preroll.keep = clocked  # type: ignore[method-assign]  # its last stage, timed from outside
     service = Service(source, [bus], settings, make_pipeline(source, settings, model), preroll=preroll)
     realtime.freeze()
     ready_ns = time.monotonic_ns()
